@@ -1,0 +1,1 @@
+"""footfall: physically simulated, controllable pedestrians on a ROS-free message bus."""

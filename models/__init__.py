@@ -1,0 +1,1 @@
+"""Tensors and mjModels in and out; knows no message, bus or clock."""

@@ -1,0 +1,1 @@
+"""TRACE: the guided trajectory-diffusion planner."""
