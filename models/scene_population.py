@@ -1,0 +1,279 @@
+"""The people of a scene: drawn from a seed without overlaps, or as they were recorded."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+
+from .scene_file import Flow, RandomPopulation, SceneError
+from .scene_layers import cell_centers, signed_distance
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+HEADWAY = 3.0  # s after which the place of an entry is taken to be free again
+TRIES = 200  # batches of candidates before an area counts as full
+BATCH = 32
+COMPANION_REACH = 2.0  # a companion enters within this many spacings of the group's first
+VELOCITY_WINDOW = 0.4  # s; the annotation step of the BIWI and UCY recordings
+MOVING = 0.3  # m/s; slower counts as standing
+SLOWEST = 0.2  # m/s; nobody is asked to walk slower than this
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One recorded pedestrian: `samples` (T, 3) are t in s and world x, y in m."""
+
+    id: int
+    samples: np.ndarray
+
+    @property
+    def enter_time(self) -> float:
+        """First recorded time, s."""
+        return float(self.samples[0, 0])
+
+    @property
+    def exit_time(self) -> float:
+        """Last recorded time, s."""
+        return float(self.samples[-1, 0])
+
+    @property
+    def enter_xy(self) -> np.ndarray:
+        """First recorded place (2,), m."""
+        return self.samples[0, 1:]
+
+    @property
+    def exit_xy(self) -> np.ndarray:
+        """Last recorded place (2,), m."""
+        return self.samples[-1, 1:]
+
+    @property
+    def enter_velocity(self) -> np.ndarray:
+        """Mean velocity (2,) of the first 0.4 s, m/s."""
+        last = np.searchsorted(self.samples[:, 0], self.enter_time + VELOCITY_WINDOW - 1e-6)
+        last = min(max(int(last), 1), len(self.samples) - 1)
+        step = self.samples[last] - self.samples[0]
+        return step[1:] / step[0] if last else np.zeros(2)
+
+    @property
+    def walking_speed(self) -> float:
+        """Mean speed while moving, m/s; at least 0.2."""
+        step = np.diff(self.samples, axis=0)
+        speed = np.hypot(step[:, 1], step[:, 2]) / step[:, 0]
+        moving = speed[speed > MOVING]
+        return max(float(moving.mean()) if len(moving) else 0.0, SLOWEST)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedPopulation:
+    """Everybody of a recording, and the ids of those who walked together."""
+
+    tracks: tuple[Track, ...]
+    groups: tuple[tuple[int, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        known = {track.id for track in self.tracks}
+        for track in self.tracks:
+            if track.samples.ndim != 2 or track.samples.shape[1] != 3 or not len(track.samples):
+                raise SceneError(f"track {track.id}: samples of shape {track.samples.shape}, not (T, 3)")
+            if not np.isfinite(track.samples).all() or (np.diff(track.samples[:, 0]) <= 0).any():
+                raise SceneError(f"track {track.id}: samples must be finite and their times must grow")
+        for group in self.groups:
+            if strangers := set(group) - known:
+                raise SceneError(f"population.groups: {list(group)} names {min(strangers)}, who has no track")
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One pedestrian entering the scene.
+
+    Attributes:
+        time: When, s.
+        xy: Where (2,), world, m; never in an obstacle.
+        velocity: World velocity at entry (2,), m/s.
+        goal: Where to (2,), world, m.
+        preferred_speed: m/s.
+        body_seed: Seed of the body's shape.
+        group: Number shared by those who walk together; None: alone.
+        exit_time: When a recorded pedestrian left, s; None: on arrival.
+        track: Recorded samples (T, 3) [t, x, y]; None for a drawn pedestrian.
+        moved: Metres from the recorded entry point to `xy`; 0 unless it lay in an obstacle or off the map.
+    """
+
+    time: float
+    xy: np.ndarray
+    velocity: np.ndarray
+    goal: np.ndarray
+    preferred_speed: float
+    body_seed: int
+    group: int | None = None
+    exit_time: float | None = None
+    track: np.ndarray | None = None
+    moved: float = 0.0
+
+
+def sample_entries(scene: "Scene", seed: int, count: int | None, duration: float | None) -> list[Entry]:
+    """See `Scene.sample_population`."""
+    population = scene.population
+    if seed < 0 or (count is not None and count < 0):
+        raise SceneError(f"seed and count must not be negative (seed {seed}, count {count})")
+    if population is None:
+        return []
+    if isinstance(population, RecordedPopulation):
+        entries = _recorded(scene, population, seed, count)
+    else:
+        entries = _Draw(scene, population, seed).entries(population.count if count is None else count)
+    return [entry for entry in entries if duration is None or entry.time <= duration]
+
+
+def _body_seed(seed: int, index: int) -> int:
+    return int(np.random.SeedSequence([seed, index]).generate_state(1)[0])
+
+
+def _recorded(scene: "Scene", population: RecordedPopulation, seed: int, count: int | None) -> list[Entry]:
+    tracks = sorted(population.tracks, key=lambda track: (track.enter_time, track.id))[:count]
+    xy = np.array([track.enter_xy for track in tracks]).reshape(-1, 2)
+    placed = _onto_free_ground(scene, xy)
+    group_of = {member: index for index, group in enumerate(population.groups) for member in group}
+    return [
+        Entry(
+            time=track.enter_time,
+            xy=here,
+            velocity=track.enter_velocity,
+            goal=track.exit_xy,
+            preferred_speed=track.walking_speed,
+            body_seed=_body_seed(seed, track.id),
+            group=group_of.get(track.id),
+            exit_time=track.exit_time,
+            track=track.samples,
+            moved=float(np.hypot(*(here - track.enter_xy))),
+        )
+        for track, here in zip(tracks, placed, strict=True)
+    ]
+
+
+def _onto_free_ground(scene: "Scene", xy: np.ndarray) -> np.ndarray:
+    """Points (N, 2) moved to the nearest free cell's centre where they are in an obstacle or not walkable."""
+    low_x, low_y = scene.origin
+    rows, cols = scene.shape
+    i = np.floor((xy[:, 1] - low_y) / scene.resolution).astype(int)
+    j = np.floor((xy[:, 0] - low_x) / scene.resolution).astype(int)
+    off = (i < 0) | (j < 0) | (i >= rows) | (j >= cols)
+    off |= scene.layers["walkable"][np.clip(i, 0, rows - 1), np.clip(j, 0, cols - 1)] == 0
+    off |= scene.obstacle_distance(xy) < 0
+    if not off.any():
+        return xy
+    if scene.blocked().all():
+        raise SceneError("layers.walkable: no cell is free, nobody can enter")
+    x, y = cell_centers(scene.shape, scene.resolution, scene.origin)
+    rows_free, cols_free = np.nonzero(~scene.blocked())
+    free = np.stack([x[cols_free], y[rows_free]], axis=-1)
+    placed = xy.copy()
+    for index in np.nonzero(off)[0]:
+        placed[index] = free[((free - xy[index]) ** 2).sum(-1).argmin()]
+    return placed
+
+
+class _Draw:
+    """One seeded draw of a random population by rejection sampling."""
+
+    def __init__(self, scene: "Scene", population: RandomPopulation, seed: int) -> None:
+        self.scene, self.population = scene, population
+        self.rng = np.random.default_rng(seed)
+        self.body_base = seed if population.body_seed is None else population.body_seed
+        self.taken: list[tuple[float, np.ndarray]] = []  # time and place of every entry so far
+        self.areas = {name: shapely.Polygon(polygon) for name, polygon in scene.areas.items()}
+
+    def entries(self, count: int) -> list[Entry]:
+        population, rng = self.population, self.rng
+        weights = np.array([flow.weight for flow in population.flows])
+        entries: list[Entry] = []
+        groups = 0
+        while len(entries) < count:
+            size = min(self._group_size(), count - len(entries))
+            flow = population.flows[rng.choice(len(weights), p=weights / weights.sum())]
+            time = float(rng.uniform(0.0, population.enter_over))
+            speed = min(self._speed() for _ in range(size))  # a group walks as its slowest member does
+            group = groups if size > 1 else None
+            groups += size > 1
+            for xy, goal in self._places(flow, size, time, f"pedestrian {len(entries) + 1} of {count}"):
+                way = goal - xy
+                velocity = speed * way / max(float(np.hypot(*way)), 1e-9)
+                body = _body_seed(self.body_base, len(entries))
+                entries.append(Entry(time, xy, velocity, goal, speed, body, group))
+        return sorted(entries, key=lambda entry: entry.time)
+
+    def _group_size(self) -> int:
+        groups = self.population.groups
+        sizes = np.array(sorted(groups.sizes))
+        weights = np.array([groups.sizes[size] for size in sizes])
+        weights = weights / weights.sum()
+        mean = float(sizes @ weights)
+        in_group = self.rng.random() < groups.share / (mean - groups.share * (mean - 1.0))
+        size = int(self.rng.choice(sizes, p=weights))
+        return size if in_group else 1
+
+    def _speed(self) -> float:
+        mean, sd = self.population.speed_mean, self.population.speed_sd
+        while abs(deviation := self.rng.standard_normal()) > 2.0:
+            pass
+        return max(mean + sd * float(deviation), SLOWEST)
+
+    def _places(self, flow: Flow, size: int, time: float, who: str) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Entry point and goal of each member of a group; takes the entry points."""
+        spacing = self.population.spacing
+        busy = [xy for when, xy in self.taken if abs(when - time) < HEADWAY]
+        for _ in range(TRIES):
+            first = self._free(flow.spawn, busy)
+            if first is None:
+                continue
+            members = [first]
+            for _ in range(1, size):
+                near = self._free(flow.spawn, busy + members, first, COMPANION_REACH * spacing)
+                if near is None:
+                    break
+                members.append(near)
+            if len(members) == size:
+                self.taken += [(time, xy) for xy in members]
+                return list(zip(members, self._goals(flow.goal, members, who), strict=True))
+        raise SceneError(
+            f"areas.{flow.spawn}: no room for {who} at {spacing:g} m from others and {spacing / 2:g} m from"
+            f" obstacles; enlarge the area, raise population.enter_over or lower population.count"
+        )
+
+    def _goals(self, area: str, members: list[np.ndarray], who: str) -> list[np.ndarray]:
+        """A goal in the area for the first member and, as they stand, beside it for the others."""
+        for _ in range(TRIES):
+            if (goal := self._free(area, [])) is not None:
+                goals = goal + np.array(members) - members[0]
+                if self._clear(goals).all():
+                    return list(goals)
+        raise SceneError(f"areas.{area}: no free ground for the goal of {who}; enlarge the area")
+
+    def _free(
+        self, area: str, others: list[np.ndarray], near: np.ndarray | None = None, reach: float = 0.0
+    ) -> np.ndarray | None:
+        """A free point of an area (within `reach` of `near`, a spacing away from `others`), or None."""
+        polygon = self.areas[area]
+        low_x, low_y, high_x, high_y = polygon.bounds
+        if near is not None:
+            low_x, low_y = np.maximum((low_x, low_y), near - reach)
+            high_x, high_y = np.minimum((high_x, high_y), near + reach)
+        points = self.rng.uniform((low_x, low_y), (high_x, high_y), size=(BATCH, 2))
+        good = shapely.contains_xy(polygon, points[:, 0], points[:, 1]) & self._clear(points)
+        if near is not None:
+            good &= np.hypot(*(points - near).T) <= reach
+        if others:
+            gap = np.linalg.norm(points[:, None] - np.array(others), axis=-1).min(axis=1)
+            good &= gap >= self.population.spacing
+        return points[good.argmax()] if good.any() else None
+
+    def _clear(self, points: np.ndarray) -> np.ndarray:
+        """Which of the points (N, 2) are on free ground and half a spacing from obstacles."""
+        cell = np.floor((points - self.scene.origin) / self.scene.resolution).astype(int)
+        rows, cols = self.scene.shape
+        on_map = ((cell >= 0) & (cell < (cols, rows))).all(axis=1)
+        j, i = np.clip(cell, 0, (cols - 1, rows - 1)).T
+        apart = signed_distance([o.polygon for o in self.scene.obstacles], points)
+        return on_map & ~self.scene.blocked()[i, j] & (apart >= 0.5 * self.population.spacing)
