@@ -1,8 +1,8 @@
 """From ten unit-normal numbers to a person's measurements, by published tables.
 
-Sources, cited at each table: ANSUR II (Gordon et al. 2014, NATICK/TR-15/007), the U.S. Army's survey of 4082 men
-and 1986 women; Drillis & Contini (1966) as printed by Winter, "Biomechanics and Motor Control of Human Movement"
-(2009), fig. 4.1; de Leva, J. Biomech. 29(9) (1996), tables 1 and 4.
+Sources, cited at each table: ANSUR II (Gordon et al. 2014, NATICK/TR-15/007), the U.S. Army's survey of 4082
+men and 1986 women; Drillis & Contini (1966) as printed by Winter, "Biomechanics and Motor Control of Human
+Movement" (2009), fig. 4.1; de Leva, J. Biomech. 29(9) (1996), tables 1 and 4.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ N_SHAPE = len(SHAPE_NAMES)
 STATURE_RANGE = (1.5, 2.0)  # m
 MASS_RANGE = (50.0, 110.0)  # kg
 
-# (female, male). Stature (m) and weight over stature squared (kg/m^2, log-normal): ANSUR II, measurements 89 and 94.
+# (female, male). Stature (m) and weight over stature squared (kg/m^2, log-normal): ANSUR II.
 _STATURE_MEAN = (1.628, 1.756)
 _STATURE_SD = (0.064, 0.069)
 _BMI_MEDIAN = (25.3, 27.3)
@@ -52,7 +52,7 @@ _BIACROMIAL, _BIACROMIAL_SD = (0.2242, 0.2368), 0.0105  # ANSUR II biacromial br
 _HIP_JOINTS, _HIP_JOINTS_SD = (
     (0.102, 0.097),
     0.006,
-)  # between joint centres: 0.72 pelvis widths (Bell et al. 1990)
+)  # 0.72 pelvis widths (Bell et al. 1990)
 _FOOT_LENGTH, _FOOT_LENGTH_SD = (0.1511, 0.1543), 0.0055  # ANSUR II foot length
 _FOOT_BREADTH = (0.0570, 0.0580)  # ANSUR II foot breadth, horizontal
 
@@ -117,8 +117,8 @@ def measure(shape: ArrayLike) -> Measurements:
     male = NormalDist().cdf(_SEX_STEEPNESS * z[0])
     stature = blend(_STATURE_MEAN, male) + z[1] * blend(_STATURE_SD, male)
     mass = blend(_BMI_MEDIAN, male) * float(np.exp(_BMI_LOG_SD * z[2])) * stature**2
-    _require("stature", stature, STATURE_RANGE, "m")
-    _require("mass", mass, MASS_RANGE, "kg")
+    _require("stature", stature, STATURE_RANGE, " m")
+    _require("mass", mass, MASS_RANGE, " kg")
 
     hip = (_HIP_HEIGHT + _HIP_HEIGHT_SD * z[3]) * stature
     ankle = _ANKLE_HEIGHT * stature
@@ -151,13 +151,14 @@ def shape_for(stature: float, mass: float, male_fraction: float = 0.5) -> NDArra
     Raises:
         ShapeError: stature or mass outside the supported range, or a male fraction outside [0, 1].
     """
-    _require("stature", stature, STATURE_RANGE, "m")
-    _require("mass", mass, MASS_RANGE, "kg")
+    _require("stature", stature, STATURE_RANGE, " m")
+    _require("mass", mass, MASS_RANGE, " kg")
     _require("male fraction", male_fraction, (0.0, 1.0), "")
+    male = min(max(male_fraction, 1e-6), 1 - 1e-6)
     shape = np.zeros(N_SHAPE)
-    shape[0] = NormalDist().inv_cdf(min(max(male_fraction, 1e-6), 1 - 1e-6)) / _SEX_STEEPNESS
-    shape[1] = (stature - blend(_STATURE_MEAN, male_fraction)) / blend(_STATURE_SD, male_fraction)
-    shape[2] = np.log(mass / stature**2 / blend(_BMI_MEDIAN, male_fraction)) / _BMI_LOG_SD
+    shape[0] = NormalDist().inv_cdf(male) / _SEX_STEEPNESS
+    shape[1] = (stature - blend(_STATURE_MEAN, male)) / blend(_STATURE_SD, male)
+    shape[2] = np.log(mass / stature**2 / blend(_BMI_MEDIAN, male)) / _BMI_LOG_SD
     return shape
 
 
@@ -186,19 +187,15 @@ def _segment_masses(mass: float, male: float, trunk_shift: float) -> dict[str, f
 def _checked(shape: ArrayLike) -> NDArray[np.float64]:
     z = np.asarray(shape, dtype=float)
     if z.shape != (N_SHAPE,):
-        raise ShapeError(
-            f"A body shape has {N_SHAPE} numbers ({', '.join(SHAPE_NAMES)}), not the shape {z.shape}."
-        )
+        names = ", ".join(SHAPE_NAMES)
+        raise ShapeError(f"A body shape has {N_SHAPE} numbers ({names}), not an array of shape {z.shape}.")
     if not np.isfinite(z).all():
-        raise ShapeError(
-            f"A body shape must be finite, but {SHAPE_NAMES[int(np.argmin(np.isfinite(z)))]} is not."
-        )
+        name = SHAPE_NAMES[int(np.argmin(np.isfinite(z)))]
+        raise ShapeError(f"A body shape must be finite, but its {name} is not.")
     return z
 
 
 def _require(name: str, value: float, bounds: tuple[float, float], unit: str) -> None:
     low, high = bounds
     if not low - 1e-9 <= value <= high + 1e-9:
-        raise ShapeError(
-            f"A body's {name} must lie in {low:g} to {high:g} {unit}, not {value:.4g}.".replace(" ,", ",")
-        )
+        raise ShapeError(f"A body's {name} must lie between {low:g} and {high:g}{unit}, not at {value:.4g}.")

@@ -52,12 +52,12 @@ __all__ = [
 FOOT_BODIES: tuple[int, ...] = tuple(BODY_INDEX[name] for name in ("L_Ankle", "L_Toe", "R_Ankle", "R_Toe"))
 """Bodies that may touch the ground while the person is on their feet."""
 SOLE_POINTS: tuple[str, ...] = ("heel_inner", "heel_outer", "ball_inner", "ball_outer", "toe")
-"""Points of a sole, in the order of `Body.sole`; the toe's point moves with the toe body, the rest with the ankle."""
+"""Points of a sole, in the order of `Body.sole`; the last moves with the toes, the others with the ankle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """A person's body in the zero pose (see `skeleton`); arrays are read-only, in m, kg, and the body frames."""
+    """A person's body in the zero pose (see `skeleton`); its arrays are read-only."""
 
     shape: NDArray[np.float64]
     """(10,) standard deviations, in the order of `anthropometry.SHAPE_NAMES`."""

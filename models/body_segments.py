@@ -1,8 +1,8 @@
 """Masses, centres of mass, inertias and contact solids of the 24 bodies of a person.
 
-Limbs take their centre of mass and radii of gyration from de Leva (1996), table 4; bodies that are only a part of
-one of de Leva's segments (trunk, hand, foot, neck) take those of an elliptic cylinder, box or ellipsoid of the
-same mass. Widths follow from mass, length and density, so a heavy person is a thick one.
+Limbs take their centre of mass and radii of gyration from de Leva (1996), table 4; bodies that are only a
+part of one of his segments (trunk, hand, foot, neck) take those of an elliptic cylinder, box or ellipsoid of
+the same mass. Widths follow from mass, length and density, so a heavy person is a thick one.
 """
 
 from __future__ import annotations
@@ -157,8 +157,8 @@ class _Builder:
         centre = np.array([0.010 * h, 0.0, above - half_axes[2]])
         body = self._place("Head", (1 - _NECK_MASS) * mass, centre, _ellipsoid(half_axes))
         radius = 0.5 * (half_axes[0] + half_axes[1])
-        low, high = centre - [0, 0, 0.3 * radius], centre + [0, 0, half_axes[2] - radius]
-        self._solid(body, low, high, float(radius))
+        reach = np.array([0.0, 0.0, half_axes[2] - radius])
+        self._solid(body, centre - reach, centre + reach, float(radius))
 
     def _collar(self, prefix: str) -> None:
         shoulder = self.offsets[BODY_INDEX[prefix + "Shoulder"]]
@@ -219,8 +219,8 @@ class _Builder:
                 (tip - radius, 0.0, low),
             ]
         )
-        for point in sole[:4]:
-            self._solid(ankle_body, point + [0, 0, radius], point + [0, 0, radius], radius)
-        point = sole[4] + [0, 0, radius] - toe
-        self._solid(toe_body, point, point, radius)
+        spheres = sole + np.array([0.0, 0.0, radius])
+        for sphere in spheres[:4]:
+            self._solid(ankle_body, sphere, sphere, radius)
+        self._solid(toe_body, spheres[4] - toe, spheres[4] - toe, radius)
         return sole

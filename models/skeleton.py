@@ -8,8 +8,8 @@ Every body but the pelvis hangs on three hinges about its own x, y and z axis, i
 relative to its parent is ``Rx(a) Ry(b) Rz(c)``. Seen from the zero pose:
 
 * hip y < 0 lifts the thigh forward; knee y > 0 bends the knee; ankle y < 0 lifts the toes;
-* left shoulder x = -pi/2 (right +pi/2) lets the arm hang, then left shoulder z < 0 (right > 0) swings it forward
-  and left elbow z < 0 (right > 0) bends the elbow forward;
+* left shoulder x = -pi/2 (right +pi/2) lets the arm hang, then left shoulder z < 0 (right > 0) swings it
+  forward and left elbow z < 0 (right > 0) bends the elbow forward;
 * trunk and head y > 0 bends forward.
 
 Mirroring left and right swaps the sides and flips the signs of x and z angles.
@@ -102,15 +102,9 @@ _GAINS = {
 GAIN_REFERENCE_MASS = 77.0
 """Mass (kg) the gain table is meant for; gains and caps scale with mass / this (PACER, app. B)."""
 
-_LITE_AXES = {
-    "Hip": "xyz",
-    "Knee": "y",
-    "Ankle": "xyz",
-    "Torso": "xyz",
-    "Chest": "xyz",
-    "Shoulder": "xyz",
-    "Elbow": "z",
-}
+_LITE_AXES = {"Knee": "y", "Elbow": "z"} | dict.fromkeys(
+    ("Hip", "Ankle", "Torso", "Chest", "Shoulder"), "xyz"
+)
 
 
 def joint_group(body: str) -> str:
@@ -127,9 +121,9 @@ def _limits(body: str) -> NDArray[np.float64]:
 
 JOINT_LIMITS: NDArray[np.float64] = np.concatenate([_limits(name) for name in BODY_NAMES[1:]])
 """(69, 2) rad: lower and upper limit of every hinge."""
-JOINT_GAINS: NDArray[np.float64] = np.repeat(
-    [_GAINS[joint_group(name)] for name in BODY_NAMES[1:]], 3, axis=0
-).astype(float)
+JOINT_GAINS: NDArray[np.float64] = np.array(
+    [_GAINS[joint_group(name)] for name in BODY_NAMES[1:] for _ in "xyz"], dtype=float
+)
 """(69, 3): kp, kd and torque cap of every hinge at `GAIN_REFERENCE_MASS`."""
 LITE_JOINTS: NDArray[np.bool_] = np.array(
     [axis in _LITE_AXES.get(joint_group(name), "") for name in BODY_NAMES[1:] for axis in "xyz"]
@@ -141,7 +135,7 @@ for _table in (JOINT_LIMITS, JOINT_GAINS, LITE_JOINTS):
 _DEPTHS = np.zeros(N_BODIES, dtype=int)
 for _body in range(1, N_BODIES):
     _DEPTHS[_body] = _DEPTHS[PARENTS[_body]] + 1
-_LEVELS = [np.flatnonzero(_DEPTHS == depth) for depth in range(1, _DEPTHS.max() + 1)]
+_LEVELS = [np.flatnonzero(depth == _DEPTHS) for depth in range(1, _DEPTHS.max() + 1)]
 _PARENT_ARRAY = np.array(PARENTS)
 
 
