@@ -1,6 +1,5 @@
-"""Writes a `Body` as MuJoCo bodies, hinges, contact solids and PD actuators."""
-
-# pyright: reportAttributeAccessIssue=false  (mujoco names most of its classes at run time)
+# pyright: reportAttributeAccessIssue=false
+# (mujoco names most of its classes at run time only)
 
 from __future__ import annotations
 
@@ -48,8 +47,8 @@ def agent_mask(agent: int) -> ContactMask:
     """Masks under which a person touches everybody else, the ground and obstacles, but not themselves.
 
     MuJoCo lets two geoms touch when a contype bit of one is a conaffinity bit of the other. A person's
-    contype marks the ones (low bits) and the zeros (high bits) of their number, their conaffinity the opposite:
-    two people then match exactly when some digit differs, which serves 1024 people with 20 bits.
+    contype marks the ones (low bits) and the zeros (high bits) of their number, their conaffinity the
+    opposite: two people then match exactly when some digit differs, so 20 bits serve 1024 people.
     """
     ones = (1 << AGENT_BITS) - 1
     zeros = ~agent & ones
