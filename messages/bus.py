@@ -1,7 +1,7 @@
 """What a node needs of a bus, and what every bus does the same way: buffers, policies, counting."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -159,8 +159,8 @@ class Bus(Protocol):
         """
         ...
 
-    def poll(self, timeout: float) -> bool:
-        """Receive until something is pending or `timeout` [s] is over; says whether something is."""
+    def poll(self, timeout: float, ready: Callable[[], bool] | None = None) -> bool:
+        """Receive until `ready` (default: something is pending) or `timeout` [s] is over; says whether it is."""
         ...
 
     @property

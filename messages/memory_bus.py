@@ -1,6 +1,6 @@
 """The bus within one process: tests, process replay, notebooks."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from time import monotonic_ns
 
 import msgspec
@@ -64,9 +64,9 @@ class MemoryBus:
         self._hub.deliver(source, parts, topic.latched)
         return sequence
 
-    def poll(self, timeout: float) -> bool:
+    def poll(self, timeout: float, ready: Callable[[], bool] | None = None) -> bool:
         """See `Bus.poll`; nothing can come while one waits in one process, so it does not wait."""
-        return any(inlet.pending for inlet in self.inlets)
+        return ready() if ready else any(inlet.pending for inlet in self.inlets)
 
     @property
     def sent(self) -> Bound:

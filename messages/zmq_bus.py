@@ -8,7 +8,7 @@ that `latest` really is the latest however long the work takes.
 import logging
 import os
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, monotonic_ns
@@ -211,17 +211,21 @@ class ZmqBus:
             if not outlet.subscribers:
                 return
 
-    def poll(self, timeout: float) -> bool:
+    def poll(self, timeout: float, ready: Callable[[], bool] | None = None) -> bool:
         """See `Bus.poll`."""
+        ready = ready or self._any_pending
         deadline = monotonic() + timeout
         with self._lock:
-            while True:
-                wait = max(0.0, deadline - monotonic())
-                self._receive(int(wait * 1000) if not any(i.pending for i in self.inlets) else 0)
-                if any(inlet.pending for inlet in self.inlets):
-                    return True
-                if monotonic() >= deadline:
+            self._receive(0)
+            while not ready():
+                left = deadline - monotonic()
+                if left <= 0:
                     return False
+                self._receive(max(1, int(left * 1000)))
+            return True
+
+    def _any_pending(self) -> bool:
+        return any(inlet.pending for inlet in self.inlets)
 
     def _receive(self, timeout_ms: int) -> None:
         """Take in whatever has come; the caller holds the lock."""
