@@ -5,6 +5,9 @@ from typing import Literal
 import msgspec
 
 
+Mode = Literal["realtime", "free", "lockstep"]
+
+
 class Clock(msgspec.Struct, frozen=True):
     """One tick of simulation time; the stamp of its header is the time. Exactly one node publishes it."""
 
@@ -12,7 +15,7 @@ class Clock(msgspec.Struct, frozen=True):
     """Tick number, from 0."""
     step_ns: int
     """Simulation time between ticks [ns]."""
-    mode: Literal["realtime", "free", "lockstep"]
+    mode: Mode
     paused: bool = False
     """True while time stands still: the tick is repeated so that late joiners know the time."""
     sent: dict[str, int] = {}

@@ -54,11 +54,14 @@ class Diagnostics(msgspec.Struct, frozen=True):
     """Errors and warnings logged since the start."""
 
 
+Level = Literal["DEBUG", "INFO", "WARNING", "ERROR", "CRITICAL"]
+
+
 class LogLine(msgspec.Struct, frozen=True):
     """One line of a node's log."""
 
     node: str
-    level: Literal["DEBUG", "INFO", "WARNING", "ERROR", "CRITICAL"]
+    level: Level
     text: str
     logger: str = ""
     wall_time: Annotated[str, VOLATILE] = ""

@@ -4,6 +4,8 @@ from typing import Any, Literal
 
 import msgspec
 
+from .clock import Mode
+
 LAUNCHER = "launcher"
 """The launcher's own name among the publishers: it sends `control` and `graph`."""
 
@@ -58,7 +60,7 @@ class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class ClockSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How simulation time passes."""
 
-    mode: Literal["realtime", "free", "lockstep"] = "lockstep"
+    mode: Mode = "lockstep"
     rate: float | None = None
     """Simulated per wall second; None is 1 in `realtime`, and as fast as it goes in `lockstep`."""
     timeout: float = 30.0

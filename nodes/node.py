@@ -156,9 +156,14 @@ class Stepper:
         self.reconfigured = True
 
     @property
+    def ready(self) -> bool:
+        """Whether every input has come without which no step can be taken."""
+        return all(self.inbox.latest(topic) is not None for topic in self.node.requires)
+
+    @property
     def due(self) -> bool:
         """Whether a step is to be taken now."""
-        return self._triggered and all(self.inbox.latest(topic) is not None for topic in self.node.requires)
+        return self._triggered and self.ready
 
     def step(self) -> list[Outgoing]:
         """Take one step."""
