@@ -160,7 +160,7 @@ class Bus(Protocol):
         ...
 
     def poll(self, timeout: float, ready: Callable[[], bool] | None = None) -> bool:
-        """Receive until `ready` (default: something is pending) or `timeout` [s] is over; says whether it is."""
+        """Receive until `ready` (default: something is pending) or `timeout` [s] is over; says which."""
         ...
 
     @property

@@ -4,7 +4,6 @@ from typing import Literal
 
 import msgspec
 
-
 Mode = Literal["realtime", "free", "lockstep"]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from ..messages.bus import Bound, BusError, Received, arrived, take
-from ..messages.clock import Clock, Done
+from ..messages.clock import Clock, Done, Mode
 from ..messages.config import ConfigError
 from ..messages.diagnostics import Parameters, StepTrace
 from ..messages.link import Go
@@ -142,7 +142,7 @@ class ClockOwner:
         self.process = spinner.process
         self.period_ns = period_ns
         spec = spinner.graph.clock
-        self.mode = spec.mode
+        self.mode: Mode = spec.mode
         self.timeout = spec.timeout
         self.rate = spec.rate if spec.rate is not None else (1.0 if spec.mode == "realtime" else None)
         self.followers = {
