@@ -1,0 +1,153 @@
+"""ORCA crowds: free walking, head-on passing, circle swaps, and no overlap in random scenes."""
+
+import numpy as np
+import pytest
+import shapely
+from footfall.models.convex_obstacles import ConvexObstacles
+from footfall.models.orca import OrcaError, OrcaParams, Rollout, orca_velocity, rollout, smooth_heading
+
+RADIUS = 0.4
+
+
+def towards(goal: np.ndarray, speed: float, dt: float):
+    """Walk straight to the goal (B, N, 2) and arrive exactly."""
+
+    def preferred(step: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        arm = goal - position
+        distance = np.linalg.norm(arm, axis=-1, keepdims=True)
+        return arm / np.maximum(distance, 1e-9) * np.minimum(speed, distance / dt)
+
+    return preferred
+
+
+def agent_overlap(run: Rollout, radius: float = RADIUS) -> float:
+    """Deepest overlap of two discs at any sample, m; negative when all stay apart."""
+    count = run.position.shape[1]
+    arm = run.position[:, :, None] - run.position[:, None]
+    distance = np.linalg.norm(arm, axis=-1)[:, ~np.eye(count, dtype=bool)]
+    return float(2 * radius - distance.min())
+
+
+def obstacle_overlap(run: Rollout, polygons: list[list[np.ndarray]], radius: float = RADIUS) -> float:
+    """Deepest overlap of a disc and an obstacle at any sample, m."""
+    depth = [
+        radius
+        - shapely.distance(
+            shapely.union_all([shapely.Polygon(p) for p in scene]), shapely.points(where)
+        ).min()
+        for scene, where in zip(polygons, run.position, strict=True)
+        if scene
+    ]
+    return float(max(depth))
+
+
+def random_scene(rng: np.random.Generator, agents: int, shapes: int, size: float) -> tuple:
+    """Polygons, starts and goals in a square; everything starts and ends free."""
+    polygons = []
+    for _ in range(shapes):
+        corners = rng.integers(3, 9)
+        angle = np.sort(rng.uniform(0, 2 * np.pi, corners))
+        reach = rng.uniform(0.5, 2.0, (corners, 1))
+        polygon = rng.uniform(0, size, 2) + reach * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+        if shapely.Polygon(polygon).is_valid and shapely.Polygon(polygon).area > 0.1:
+            polygons.append(polygon)
+    solid = shapely.union_all([shapely.Polygon(p) for p in polygons])
+
+    def places() -> np.ndarray:
+        found: list[np.ndarray] = []
+        while len(found) < agents:
+            place = rng.uniform(0, size, 2)
+            if solid.distance(shapely.Point(place)) > RADIUS and all(
+                np.hypot(*(place - other)) > 2 * RADIUS for other in found
+            ):
+                found.append(place)
+        return np.array(found)
+
+    return polygons, places(), places()
+
+
+def test_an_undisturbed_agent_walks_exactly_as_it_prefers():
+    preferred = np.array([[[1.2, -0.5]]])
+    chosen = orca_velocity(np.zeros((1, 1, 2)), np.zeros((1, 1, 2)), preferred, 0.1, OrcaParams())
+    np.testing.assert_allclose(chosen, preferred, atol=1e-12)
+
+
+@pytest.mark.parametrize("dt", [0.1, 1 / 60])
+def test_two_agents_head_on_swap_places_without_touching(dt: float):
+    start = np.array([[[-4.0, 0.0], [4.0, 0.0]]])
+    run = rollout(start, np.zeros_like(start), towards(-start, 1.3, dt), int(12 / dt), dt, OrcaParams())
+    assert agent_overlap(run) < 1e-6
+    np.testing.assert_allclose(run.position[:, :, -1], -start, atol=0.05)
+
+
+@pytest.mark.parametrize("dt", [0.1, 1 / 60])
+def test_twenty_agents_on_a_circle_swap_places(dt: float):
+    angle = np.arange(20) * 2 * np.pi / 20
+    start = 7 * np.stack((np.cos(angle), np.sin(angle)), axis=-1)[None]
+    run = rollout(start, np.zeros_like(start), towards(-start, 1.3, dt), int(22 / dt), dt, OrcaParams())
+    assert agent_overlap(run) < 1e-6
+    np.testing.assert_allclose(run.position[:, :, -1], -start, atol=0.3)
+
+
+@pytest.mark.parametrize("dt", [0.1, 1 / 60])
+def test_nothing_overlaps_in_random_scenes(dt: float):
+    rng = np.random.default_rng(3)
+    polygons, starts, goals = zip(*(random_scene(rng, 12, 5, 12.0) for _ in range(8)), strict=True)
+    start = np.stack(starts)
+    run = rollout(
+        start,
+        np.zeros_like(start),
+        towards(np.stack(goals), 1.5, dt),
+        int(10 / dt),
+        dt,
+        OrcaParams(),
+        ConvexObstacles.from_polygons(polygons),
+    )
+    assert agent_overlap(run) < 1e-6
+    assert obstacle_overlap(run, list(polygons)) < 1e-6
+
+
+def test_absent_agents_stand_still_and_are_ignored():
+    position = np.array([[[0.0, 0.0], [0.5, 0.0], [3.0, 0.0]]])
+    position[0, 1] = np.nan
+    present = np.array([[True, False, True]])
+    preferred = np.array([[[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]]])
+    chosen = orca_velocity(position, preferred, preferred, 0.1, OrcaParams(), present=present)
+    alone = orca_velocity(position[:, ::2], preferred[:, ::2], preferred[:, ::2], 0.1, OrcaParams())
+    np.testing.assert_array_equal(chosen[:, ::2], alone)
+    np.testing.assert_array_equal(chosen[:, 1], 0.0)
+
+
+def test_heading_turns_smoothly_and_holds_when_standing():
+    velocity = np.zeros((100, 2))
+    velocity[:40] = [1.0, 0.0]
+    velocity[40:80] = [-0.1, 1.0]
+    heading = smooth_heading(velocity, 0.1)
+    np.testing.assert_allclose(heading[:40], 0.0, atol=1e-12)
+    assert np.all(np.diff(heading[40:80]) >= 0) and np.diff(heading).max() < 0.8
+    np.testing.assert_allclose(heading[79], np.arctan2(1.0, -0.1), atol=1e-3)
+    np.testing.assert_array_equal(heading[80:], heading[79])
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"dt": 0.0}, "dt is 0"),
+        ({"velocity": np.zeros((1, 3, 2))}, "must all be"),
+        ({"preferred": np.full((1, 2, 2), np.nan)}, "not finite"),
+        ({"params": OrcaParams(radius=-1.0)}, "radius"),
+        ({"params": OrcaParams(radius=np.ones((1, 3)))}, "radius has shape"),
+        ({"present": np.ones((2, 2), bool)}, "present has shape"),
+        ({"obstacles": ConvexObstacles.from_polygons([[], []])}, "2 scenes"),
+    ],
+)
+def test_bad_input_is_named(change: dict, sentence: str):
+    good = {
+        "position": np.array([[[0.0, 0.0], [2.0, 0.0]]]),
+        "velocity": np.zeros((1, 2, 2)),
+        "preferred": np.zeros((1, 2, 2)),
+        "dt": 0.1,
+        "params": OrcaParams(),
+    }
+    with pytest.raises(OrcaError, match=sentence):
+        orca_velocity(**(good | change))
