@@ -7,15 +7,15 @@ import numpy as np
 import shapely
 
 from .scene_file import Flow, RandomPopulation, SceneError
-from .scene_layers import cell_centers, signed_distance
+from .scene_layers import cell_centers
 
 if TYPE_CHECKING:
     from .scene import Scene
 
 HEADWAY = 3.0  # s after which the place of an entry is taken to be free again
 TRIES = 200  # batches of candidates before an area counts as full
-BATCH = 32
-COMPANION_REACH = 2.0  # a companion enters within this many spacings of the group's first
+BATCH = 64
+COMPANION_REACH = 2.0  # a companion is at most this many spacings in x and y from the group's first
 VELOCITY_WINDOW = 0.4  # s; the annotation step of the BIWI and UCY recordings
 MOVING = 0.3  # m/s; slower counts as standing
 SLOWEST = 0.2  # m/s; nobody is asked to walk slower than this
@@ -183,16 +183,15 @@ class _Draw:
         self.rng = np.random.default_rng(seed)
         self.body_base = seed if population.body_seed is None else population.body_seed
         self.taken: list[tuple[float, np.ndarray]] = []  # time and place of every entry so far
+        self.solid = shapely.union_all([shapely.Polygon(obstacle.polygon) for obstacle in scene.obstacles])
+        shapely.prepare(self.solid)
         self.areas = {name: shapely.Polygon(polygon) for name, polygon in scene.areas.items()}
 
     def entries(self, count: int) -> list[Entry]:
         population, rng = self.population, self.rng
-        weights = np.array([flow.weight for flow in population.flows])
         entries: list[Entry] = []
         groups = 0
-        while len(entries) < count:
-            size = min(self._group_size(), count - len(entries))
-            flow = population.flows[rng.choice(len(weights), p=weights / weights.sum())]
+        for flow, size in self._parties(count):
             time = float(rng.uniform(0.0, population.enter_over))
             speed = min(self._speed() for _ in range(size))  # a group walks as its slowest member does
             group = groups if size > 1 else None
@@ -203,6 +202,17 @@ class _Draw:
                 body = _body_seed(self.body_base, len(entries))
                 entries.append(Entry(time, xy, velocity, goal, speed, body, group))
         return sorted(entries, key=lambda entry: entry.time)
+
+    def _parties(self, count: int) -> list[tuple[Flow, int]]:
+        """Flow and size of every group or single, in random order; each flow gets its share, rounded."""
+        shares = np.cumsum([flow.weight for flow in self.population.flows])
+        upto = np.floor(shares / shares[-1] * count + self.rng.random()).astype(int)  # systematic rounding
+        parties: list[tuple[Flow, int]] = []
+        for flow, left in zip(self.population.flows, np.diff(upto, prepend=0), strict=True):
+            while left > 0:
+                parties.append((flow, size := min(self._group_size(), int(left))))
+                left -= size
+        return [parties[index] for index in self.rng.permutation(len(parties))]
 
     def _group_size(self) -> int:
         groups = self.population.groups
@@ -230,10 +240,10 @@ class _Draw:
                 continue
             members = [first]
             for _ in range(1, size):
-                near = self._free(flow.spawn, busy + members, first, COMPANION_REACH * spacing)
-                if near is None:
+                companion = self._free(flow.spawn, busy + members, first)
+                if companion is None:
                     break
-                members.append(near)
+                members.append(companion)
             if len(members) == size:
                 self.taken += [(time, xy) for xy in members]
                 return list(zip(members, self._goals(flow.goal, members, who), strict=True))
@@ -243,31 +253,34 @@ class _Draw:
         )
 
     def _goals(self, area: str, members: list[np.ndarray], who: str) -> list[np.ndarray]:
-        """A goal in the area for the first member and, as they stand, beside it for the others."""
+        """A goal in the area for the first member; for the others the same way beside it, or near it."""
         for _ in range(TRIES):
             if (goal := self._free(area, [])) is not None:
-                goals = goal + np.array(members) - members[0]
-                if self._clear(goals).all():
-                    return list(goals)
-        raise SceneError(f"areas.{area}: no free ground for the goal of {who}; enlarge the area")
+                break
+        else:
+            raise SceneError(f"areas.{area}: no free ground for the goal of {who}; enlarge the area")
+        goals = [goal]
+        for beside in goal + np.array(members[1:]).reshape(-1, 2) - members[0]:
+            free = beside if self._clear(beside[None])[0] else self._free(area, goals, goal)
+            goals.append(goal if free is None else free)
+        return goals
 
     def _free(
-        self, area: str, others: list[np.ndarray], near: np.ndarray | None = None, reach: float = 0.0
+        self, area: str, others: list[np.ndarray], beside: np.ndarray | None = None
     ) -> np.ndarray | None:
-        """A free point of an area (within `reach` of `near`, a spacing away from `others`), or None."""
-        polygon = self.areas[area]
+        """A free point of an area, a spacing away from `others`, near `beside`; None if this try failed."""
+        polygon, spacing = self.areas[area], self.population.spacing
         low_x, low_y, high_x, high_y = polygon.bounds
-        if near is not None:
-            low_x, low_y = np.maximum((low_x, low_y), near - reach)
-            high_x, high_y = np.minimum((high_x, high_y), near + reach)
+        if beside is not None:
+            low_x, low_y = np.maximum((low_x, low_y), beside - COMPANION_REACH * spacing)
+            high_x, high_y = np.minimum((high_x, high_y), beside + COMPANION_REACH * spacing)
         points = self.rng.uniform((low_x, low_y), (high_x, high_y), size=(BATCH, 2))
-        good = shapely.contains_xy(polygon, points[:, 0], points[:, 1]) & self._clear(points)
-        if near is not None:
-            good &= np.hypot(*(points - near).T) <= reach
+        good = shapely.contains_xy(polygon, points[:, 0], points[:, 1])
         if others:
-            gap = np.linalg.norm(points[:, None] - np.array(others), axis=-1).min(axis=1)
-            good &= gap >= self.population.spacing
-        return points[good.argmax()] if good.any() else None
+            good &= np.linalg.norm(points[:, None] - np.array(others), axis=-1).min(axis=1) >= spacing
+        points = points[good]
+        points = points[self._clear(points)]
+        return points[0] if len(points) else None
 
     def _clear(self, points: np.ndarray) -> np.ndarray:
         """Which of the points (N, 2) are on free ground and half a spacing from obstacles."""
@@ -275,5 +288,5 @@ class _Draw:
         rows, cols = self.scene.shape
         on_map = ((cell >= 0) & (cell < (cols, rows))).all(axis=1)
         j, i = np.clip(cell, 0, (cols - 1, rows - 1)).T
-        apart = signed_distance([o.polygon for o in self.scene.obstacles], points)
-        return on_map & ~self.scene.blocked()[i, j] & (apart >= 0.5 * self.population.spacing)
+        near_solid = shapely.dwithin(self.solid, shapely.points(points), 0.5 * self.population.spacing)
+        return on_map & ~self.scene.blocked()[i, j] & ~near_solid
