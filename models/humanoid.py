@@ -1,5 +1,4 @@
-# pyright: reportAttributeAccessIssue=false
-# (mujoco names most of its classes at run time only)
+"""Writes a `Body` as MuJoCo bodies, hinges, contact solids and PD actuators."""
 
 from __future__ import annotations
 
@@ -20,6 +19,9 @@ from .skeleton import (
     N_JOINTS,
     PARENTS,
 )
+
+# pyright: reportAttributeAccessIssue=false
+# (mujoco names most of its classes at run time only)
 
 Actuation = Literal["full", "lite"]
 """``full``: all 69 hinges; ``lite``: 28 of them (`LITE_JOINTS`), twice as fast to simulate."""

@@ -20,6 +20,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .rotations import matrix_from_quaternion
+
 _TREE = (
     ("Pelvis", None),
     ("L_Hip", "Pelvis"),
@@ -168,22 +170,6 @@ def triplet_from_matrix(matrix: ArrayLike) -> NDArray[np.float64]:
         ],
         axis=-1,
     )
-
-
-def matrix_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
-    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4), wxyz."""
-    w, x, y, z = np.moveaxis(np.asarray(quaternion, dtype=float), -1, 0)
-    matrix = np.empty((*w.shape, 3, 3))
-    matrix[..., 0, 0] = 1 - 2 * (y * y + z * z)
-    matrix[..., 0, 1] = 2 * (x * y - w * z)
-    matrix[..., 0, 2] = 2 * (x * z + w * y)
-    matrix[..., 1, 0] = 2 * (x * y + w * z)
-    matrix[..., 1, 1] = 1 - 2 * (x * x + z * z)
-    matrix[..., 1, 2] = 2 * (y * z - w * x)
-    matrix[..., 2, 0] = 2 * (x * z - w * y)
-    matrix[..., 2, 1] = 2 * (y * z + w * x)
-    matrix[..., 2, 2] = 1 - 2 * (x * x + y * y)
-    return matrix
 
 
 def forward_kinematics(
