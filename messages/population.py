@@ -37,7 +37,7 @@ class Admissions(msgspec.Struct, frozen=True):
     enter: list[Enter] = []
     leave: list[int] = []
     reached: list[int] = []
-    """Those of `leave` who leave because they have reached their goal."""
+    """Who has just reached their goal, whether they leave or walk on to another."""
 
 
 class RecordedTracks(msgspec.Struct, frozen=True):

@@ -87,8 +87,8 @@ class Node(ABC, Generic[C]):
     """Inputs without which no step can be taken."""
     trigger: ClassVar[Topic | None] = None
     """The input whose messages cause a step; None: any input does."""
-    clock_period_ns: int | None = None
-    """Simulation time between ticks of a node that owns the clock; None for all others."""
+    clock_rate_hz: int | None = None
+    """Ticks per simulated second of a node that owns the clock; None for all others."""
 
     def __init__(self, config: C, seed: int = 0) -> None:
         self.config = config

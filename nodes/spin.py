@@ -41,8 +41,8 @@ class _Spinner:
             process.publish(list(self.node.start()))
             go = process.ready()
             self._take_start_messages(go)
-            if self.node.clock_period_ns is not None:
-                ClockOwner(self, self.node.clock_period_ns).run()
+            if self.node.clock_rate_hz is not None:
+                ClockOwner(self, self.node.clock_rate_hz).run()
             elif self.in_lockstep:
                 self._follow_in_step(go)
             else:
@@ -137,10 +137,10 @@ class _Spinner:
 class ClockOwner:
     """Makes time pass: paces the ticks and, in lockstep, waits for everybody's work on each."""
 
-    def __init__(self, spinner: _Spinner, period_ns: int) -> None:
+    def __init__(self, spinner: _Spinner, rate_hz: int) -> None:
         self.spinner = spinner
         self.process = spinner.process
-        self.period_ns = period_ns
+        self.rate_hz = rate_hz
         spec = spinner.graph.clock
         self.mode: Mode = spec.mode
         self.timeout = spec.timeout
@@ -166,7 +166,7 @@ class ClockOwner:
                 spinner.work(take(process.bus), 0, run=False)
         anchor = monotonic()
         while True:
-            now_ns = step * self.period_ns
+            now_ns = step * 1_000_000_000 // self.rate_hz
             if duration is not None and now_ns > round(duration * 1e9):
                 process.finish(f"{duration:g} s simulated")
             process.bus.poll(0)
@@ -184,7 +184,7 @@ class ClockOwner:
 
     def _tick(self, step: int) -> None:
         sent = {**self._sent, **self.process.sent} if self.mode == "lockstep" else {}
-        clock = Clock(step, self.period_ns, self.mode, self.paused, sent)
+        clock = Clock(step, 1_000_000_000 // self.rate_hz, self.mode, self.paused, sent)
         self.process.bus.publish(CLOCK, clock, self.process.now_ns)
 
     def _wait_for_followers(self, step: int) -> None:
@@ -215,7 +215,7 @@ class ClockOwner:
             anchor = self._stay_paused(anchor, step)
         if self.rate is None:
             return anchor
-        due = anchor + (step + 1) * self.period_ns * 1e-9 / self.rate
+        due = anchor + (step + 1) / self.rate_hz / self.rate
         if (late := monotonic() - due) > 0:
             self._behind += late
             self.process.facts["behind"] = self.spinner.node.facts["behind"] = self._behind

@@ -1,0 +1,249 @@
+"""The world: one MuJoCo simulation of everybody, and the owner of time.
+
+In: map, population (both before the first tick), admissions, body actions (30 Hz). Out: clock and body states
+(30 Hz), agents (10 Hz), bodies (latched), contacts and falls (when there are any).
+"""
+
+import sys
+from collections.abc import Iterable
+from typing import Literal
+
+import numpy as np
+
+from ..messages.agents import HISTORY_STEPS, AgentStates
+from ..messages.body import Bodies, BodyStates, Contacts, Falls
+from ..messages.config import ConfigError
+from ..messages.map import SemanticMap
+from ..messages.population import Enter, Population
+from ..messages.topics import (
+    ADMISSIONS,
+    AGENTS,
+    BODIES,
+    BODY_ACTIONS,
+    BODY_STATES,
+    CLOCK,
+    CONTACTS,
+    FALLS,
+    MAP,
+    POPULATION,
+    Outgoing,
+)
+from ..models.body import Body, describe
+from ..models.scene import Terrain
+from ..models.scene_file import Obstacle
+from ..models.skeleton import JOINT_INDEX, N_JOINTS
+from ..models.world import World
+from .node import Inbox, Node, NodeConfig
+from .spin import spin
+
+BOX_LENGTH = 0.4
+"""Extent of a person's box along the heading [m]; its width is twice the body's radius."""
+
+
+class Config(NodeConfig, frozen=True):
+    """How bodies move and what becomes of those who fall."""
+
+    mode: Literal["kinematic", "physics"] = "kinematic"
+    """Whether bodies take the commanded pose, or are driven to it by PD torques."""
+    actuation: Literal["full", "lite"] = "full"
+    """All 69 joints, or the 28 that walking needs (physics only)."""
+    physics_rate_hz: int = 120
+    """Physics steps per second; a multiple of 30."""
+    on_fall: Literal["report", "respawn", "remove"] = "report"
+    """What happens to who has fallen."""
+
+
+class Simulator(Node[Config]):
+    """Moves the bodies and says where they are."""
+
+    Config = Config
+    inputs = (MAP, POPULATION, ADMISSIONS, BODY_ACTIONS)
+    outputs = (CLOCK, AGENTS, BODIES, BODY_STATES, CONTACTS, FALLS)
+    requires = (MAP, POPULATION)
+    clock_rate_hz = 30
+
+    def __init__(self, config: Config, seed: int = 0) -> None:
+        super().__init__(config, seed)
+        if config.physics_rate_hz % self.clock_rate_hz or config.physics_rate_hz <= 0:
+            raise ConfigError(
+                f"simulator: config: physics_rate_hz: {config.physics_rate_hz} is not a multiple of "
+                f"{self.clock_rate_hz}"
+            )
+        self._world: World | None = None
+        self._bodies: list[Body] = []
+        self._population: Population | None = None
+        self._step = 0
+        self._down: set[int] = set()
+        self._touching: set[tuple[int, ...]] = set()
+
+    def step(self, inbox: Inbox) -> Iterable[Outgoing]:
+        """One tick: let people in and out, take the actions, let 1/30 s pass, look."""
+        outgoing: list[Outgoing] = []
+        if self._population is None:
+            self._population = inbox.require(POPULATION)
+            self._bodies = [describe(shape) for shape in self._population.shapes.astype(np.float64)]
+            count = len(self._bodies)
+            self._history = np.zeros((count, HISTORY_STEPS, 7), np.float32)
+            self._homes = np.zeros((count, 7))
+            outgoing.append(BODIES(describe_bodies(self._population, self._bodies)))
+        if inbox.new(MAP) or self._world is None:
+            self._world = self._build(inbox.require(MAP))
+        world = self._world
+        for admissions in inbox.new(ADMISSIONS):
+            for agent in admissions.leave:
+                self._leave(world, agent)
+            for enter in admissions.enter:
+                self._enter(world, enter)
+        self._act(world, inbox)
+        if self._step:
+            world.advance(1 / self.clock_rate_hz)
+        present = np.flatnonzero(world.present)
+        joints = world.joint_states(present)
+        outgoing.append(BODY_STATES(BodyStates(self._population.ids[present], joints)))
+        if self._step % 3 == 0:
+            outgoing.append(AGENTS(self._agents(present, joints)))
+        outgoing += self._contacts(world)
+        outgoing += self._falls(world, present)
+        self._step += 1
+        return outgoing
+
+    def _build(self, semantic_map: SemanticMap) -> World:
+        """The world of a map; people in the old one keep their poses."""
+        terrain = semantic_map.terrain
+        world = World(
+            self._bodies,
+            [Obstacle(o.name, np.array(o.polygon), o.height) for o in semantic_map.obstacles],
+            terrain and Terrain(np.array(terrain.heights), terrain.resolution, terrain.origin),
+            mode=self.config.mode,
+            actuation=self.config.actuation,
+            timestep=1 / self.config.physics_rate_hz,
+        )
+        old = self._world
+        if old is not None:
+            for agent in np.flatnonzero(old.present).tolist():
+                state = old.joint_states([agent])[0, 0].astype(np.float64)
+                angles, rates = old.joint_angles([agent])
+                world.enter(agent, state[:7], angles[0], state[7:], rates[0])
+        return world
+
+    def _enter(self, world: World, enter: Enter) -> None:
+        agent, body = enter.id, self._bodies[enter.id]
+        if world.present[agent]:
+            return
+        xy = np.array(enter.position)
+        root = np.array(
+            [
+                *xy,
+                world.height_at(xy) + body.pelvis_height,
+                np.cos(enter.heading / 2),
+                0,
+                0,
+                np.sin(enter.heading / 2),
+            ]
+        )
+        velocity = np.zeros(6)
+        velocity[:2] = enter.speed * np.array([np.cos(enter.heading), np.sin(enter.heading)])
+        world.enter(agent, root, ARMS_DOWN, velocity)
+        self._homes[agent] = root
+        self._history[agent] = 0.0
+
+    def _leave(self, world: World, agent: int) -> None:
+        if world.present[agent]:
+            world.leave(agent)
+        self._down.discard(agent)
+
+    def _act(self, world: World, inbox: Inbox) -> None:
+        actions = inbox.latest(BODY_ACTIONS)
+        if actions is None or not inbox.new(BODY_ACTIONS):
+            return
+        here = np.flatnonzero(world.present[actions.ids])
+        ids = actions.ids[here]
+        if world.mode == "physics":
+            world.set_targets(ids, actions.joint_targets[here].astype(np.float64))
+        elif actions.roots is not None:
+            world.set_pose(
+                ids, actions.roots[here].astype(np.float64), actions.joint_targets[here].astype(np.float64)
+            )
+
+    def _agents(self, present: np.ndarray, joints: np.ndarray) -> AgentStates:
+        """Push the states of those present into the history."""
+        assert self._population is not None
+        self._history[:, :-1] = self._history[:, 1:]
+        self._history[:, -1] = 0.0
+        w, x, y, z = joints[:, 0, 3:7].astype(np.float64).T
+        heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        before, here = self._history[present, -2], joints[:, 0, :2]
+        moved = np.linalg.norm(here - before[:, :2], axis=1) * 10.0
+        speed = np.where(before[:, 6] > 0, moved, np.linalg.norm(joints[:, 0, 7:9], axis=1))
+        width = [2 * self._bodies[agent].radius for agent in present]
+        self._history[present, -1, :2] = here
+        self._history[present, -1, 2] = heading
+        self._history[present, -1, 3] = speed
+        self._history[present, -1, 4:7] = np.column_stack(
+            [np.full(len(present), BOX_LENGTH), width, np.ones(len(present))]
+        )
+        population = self._population
+        return AgentStates(population.ids[present], population.groups[present], self._history[present])
+
+    def _contacts(self, world: World) -> Iterable[Outgoing]:
+        """Touches of people with others and obstacles, told when they begin or end."""
+        found = world.contacts()
+        found = found.select((found.other >= 0) | (found.other_part >= 0))
+        touching = set(
+            zip(*(c.tolist() for c in (found.agent, found.part, found.other, found.other_part)), strict=True)
+        )
+        if touching == self._touching:
+            return
+        self._touching = touching
+        yield CONTACTS(
+            Contacts(
+                agents=np.column_stack([found.agent, found.other]).astype(np.int32),
+                bodies=np.column_stack([found.part, found.other_part]).astype(np.int32),
+                positions=found.position.astype(np.float32),
+                normals=(-found.normal).astype(np.float32),
+                forces=found.force.astype(np.float32),
+            )
+        )
+
+    def _falls(self, world: World, present: np.ndarray) -> Iterable[Outgoing]:
+        """Who has just fallen; they are handled as configured."""
+        if not len(present) or world.mode == "kinematic":
+            return
+        down = {int(agent) for agent in present[world.fallen(present)]}
+        new = sorted(down - self._down)
+        self._down = down
+        if not new:
+            return
+        positions = world.joint_states(new)[:, 0, :3]
+        for agent in new if self.config.on_fall != "report" else ():
+            world.leave(agent)
+            self._down.discard(agent)
+            if self.config.on_fall == "respawn":
+                world.enter(agent, self._homes[agent], ARMS_DOWN)
+        yield FALLS(Falls(np.array(new, np.int32), positions, self.config.on_fall))
+
+
+def _arms_down() -> np.ndarray:
+    joints = np.zeros(N_JOINTS)
+    joints[JOINT_INDEX["L_Shoulder_x"]], joints[JOINT_INDEX["R_Shoulder_x"]] = -1.4, 1.4
+    return joints
+
+
+ARMS_DOWN = _arms_down()
+"""Standing pose in which people enter (69,) [rad]."""
+
+
+def describe_bodies(population: Population, bodies: list[Body]) -> Bodies:
+    """What everybody is made of."""
+    return Bodies(
+        ids=population.ids,
+        shapes=population.shapes,
+        masses=np.array([body.mass for body in bodies], np.float32),
+        statures=np.array([body.stature for body in bodies], np.float32),
+        radii=np.array([body.radius for body in bodies], np.float32),
+        offsets=np.stack([body.offsets for body in bodies]).astype(np.float32),
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(spin(Simulator))
