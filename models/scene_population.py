@@ -188,15 +188,15 @@ class _Draw:
         self.areas = {name: shapely.Polygon(polygon) for name, polygon in scene.areas.items()}
 
     def entries(self, count: int) -> list[Entry]:
-        population, rng = self.population, self.rng
         entries: list[Entry] = []
         groups = 0
         for flow, size in self._parties(count):
-            time = float(rng.uniform(0.0, population.enter_over))
+            who = f"pedestrian {len(entries) + 1} of {count}"
             speed = min(self._speed() for _ in range(size))  # a group walks as its slowest member does
+            time, places = self._places(flow, size, who)
             group = groups if size > 1 else None
             groups += size > 1
-            for xy, goal in self._places(flow, size, time, f"pedestrian {len(entries) + 1} of {count}"):
+            for xy, goal in zip(places, self._goals(flow.goal, places, who), strict=True):
                 way = goal - xy
                 velocity = speed * way / max(float(np.hypot(*way)), 1e-9)
                 body = _body_seed(self.body_base, len(entries))
@@ -204,14 +204,24 @@ class _Draw:
         return sorted(entries, key=lambda entry: entry.time)
 
     def _parties(self, count: int) -> list[tuple[Flow, int]]:
-        """Flow and size of every group or single, in random order; each flow gets its share, rounded."""
-        shares = np.cumsum([flow.weight for flow in self.population.flows])
-        upto = np.floor(shares / shares[-1] * count + self.rng.random()).astype(int)  # systematic rounding
-        parties: list[tuple[Flow, int]] = []
-        for flow, left in zip(self.population.flows, np.diff(upto, prepend=0), strict=True):
-            while left > 0:
-                parties.append((flow, size := min(self._group_size(), int(left))))
-                left -= size
+        """Flow and size of every group and single, in random order.
+
+        Groups choose a flow by its weight; singles then bring every flow as near to its share as they can.
+        """
+        sizes: list[int] = []
+        while sum(sizes) < count:
+            sizes.append(min(self._group_size(), count - sum(sizes)))
+        together = [size for size in sizes if size > 1]
+        flows = self.population.flows
+        share = np.array([flow.weight for flow in flows]) / sum(flow.weight for flow in flows)
+        chosen = self.rng.choice(len(flows), size=len(together), p=share)
+        missing = share * count - np.bincount(chosen, weights=together, minlength=len(flows))
+        upto = np.cumsum(np.maximum(missing, 1e-9))
+        singles = len(sizes) - len(together)
+        upto = np.floor(upto / upto[-1] * singles + self.rng.random()).astype(int)  # systematic rounding
+        parties = [(flows[index], size) for index, size in zip(chosen, together, strict=True)]
+        for flow, number in zip(flows, np.diff(upto, prepend=0), strict=True):
+            parties += [(flow, 1)] * int(number)
         return [parties[index] for index in self.rng.permutation(len(parties))]
 
     def _group_size(self) -> int:
@@ -230,23 +240,21 @@ class _Draw:
             pass
         return max(mean + sd * float(deviation), SLOWEST)
 
-    def _places(self, flow: Flow, size: int, time: float, who: str) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Entry point and goal of each member of a group; takes the entry points."""
+    def _places(self, flow: Flow, size: int, who: str) -> tuple[float, list[np.ndarray]]:
+        """When a group enters and each member's place, which are then taken."""
         spacing = self.population.spacing
-        busy = [xy for when, xy in self.taken if abs(when - time) < HEADWAY]
         for _ in range(TRIES):
-            first = self._free(flow.spawn, busy)
-            if first is None:
-                continue
-            members = [first]
-            for _ in range(1, size):
-                companion = self._free(flow.spawn, busy + members, first)
-                if companion is None:
+            time = float(self.rng.uniform(0.0, self.population.enter_over))
+            busy = [xy for when, xy in self.taken if abs(when - time) < HEADWAY]
+            members: list[np.ndarray] = []
+            for _ in range(size):
+                place = self._free(flow.spawn, busy + members, members[0] if members else None)
+                if place is None:
                     break
-                members.append(companion)
+                members.append(place)
             if len(members) == size:
                 self.taken += [(time, xy) for xy in members]
-                return list(zip(members, self._goals(flow.goal, members, who), strict=True))
+                return time, members
         raise SceneError(
             f"areas.{flow.spawn}: no room for {who} at {spacing:g} m from others and {spacing / 2:g} m from"
             f" obstacles; enlarge the area, raise population.enter_over or lower population.count"
