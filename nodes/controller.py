@@ -72,7 +72,7 @@ class Controller(Node[Config]):
                 )
             ]
         for follower in followers:
-            follower.advance(inbox.now + TICK, TICK, self.config.max_turn_rate)
+            follower.advance(TICK, self.config.max_turn_rate)
         command = Command.of(
             position=[f.position for f in followers],
             heading=[f.heading for f in followers],
@@ -113,7 +113,7 @@ class Controller(Node[Config]):
         ids = [present[row] for row in new]
         gait.enter(ids, [self._bodies[i] for i in ids], position, heading, speed)
         for row, agent in enumerate(ids):
-            self._followed[agent] = Follower(position[row], float(heading[row]), float(speed[row]))
+            self._followed[agent] = Follower(inbox.now, position[row], float(heading[row]), float(speed[row]))
 
     def _take_plans(self, inbox: Inbox) -> None:
         for plans in inbox.received(PLANS):
@@ -124,46 +124,38 @@ class Controller(Node[Config]):
                     self._followed[agent].take(
                         plans.stamp_ns * 1e-9,
                         message.positions[row, chosen].astype(np.float64),
-                        np.unwrap(message.headings[row, chosen].astype(np.float64)),
+                        message.headings[row, chosen].astype(np.float64),
                     )
 
 
 class Follower:
     """One pedestrian's way along its plan: continuous where plans join, turning no faster than a body can."""
 
-    def __init__(self, position: np.ndarray, heading: float, speed: float) -> None:
+    def __init__(self, time: float, position: np.ndarray, heading: float, speed: float) -> None:
+        self.time = time
         self.position = position
-        """Commanded ground position (2,), world [m]."""
+        """Commanded ground position (2,) at `time`, world [m]."""
         self.heading = heading
         self.speed = speed
         self.turn_rate = 0.0
-        self._stamp: float | None = None
-        self._points = np.zeros((0, 2))
-        self._headings = np.zeros(0)
+        self._times = np.array([time])
+        self._way = np.array([[*position, heading]])
 
     def take(self, stamp: float, points: np.ndarray, headings: np.ndarray) -> None:
-        """Follow a new plan: points (T, 2) [m] and headings (T,) [rad] at `PLAN_DT` after `stamp` [s]."""
-        self._stamp, self._points, self._headings = stamp, points, headings
+        """Follow a new plan from here on: points (T, 2) [m], headings (T,) [rad], `PLAN_DT` apart after `stamp`."""
+        times = stamp + PLAN_DT * np.arange(1, len(points) + 1)
+        ahead = times > self.time + 1e-6
+        headings = np.unwrap(np.concatenate([[self.heading], headings[ahead]]))
+        self._times = np.concatenate([[self.time], times[ahead]])
+        self._way = np.column_stack([np.vstack([self.position, points[ahead]]), headings])
 
-    def advance(self, time: float, dt: float, max_turn_rate: float) -> None:
-        """Be where the plan is at `time`; at its end, or without one, stand."""
-        target, heading = self.position, self.heading
-        if self._stamp is not None and len(self._points):
-            phase = (time - self._stamp) / PLAN_DT - 1
-            if phase < 0:  # between the stamp and the plan's first point: walk towards that point
-                target = self.position + (self._points[0] - self.position) * min(
-                    1.0, dt / (PLAN_DT * (dt / PLAN_DT - phase))
-                )
-                heading = float(self._headings[0])
-            else:
-                last = len(self._points) - 1
-                index = min(int(phase), last - 1) if last else 0
-                part = min(phase - index, 1.0)
-                after = min(index + 1, last)
-                target = (1 - part) * self._points[index] + part * self._points[after]
-                heading = (1 - part) * float(self._headings[index]) + part * float(self._headings[after])
+    def advance(self, dt: float, max_turn_rate: float) -> None:
+        """Be where the plan is after `dt`; at its end, or without one, stand."""
+        self.time += dt
+        x, y, heading = (float(np.interp(self.time, self._times, column)) for column in self._way.T)
         turn = (heading - self.heading + np.pi) % (2 * np.pi) - np.pi
         turn = float(np.clip(turn, -max_turn_rate * dt, max_turn_rate * dt))
+        target = np.array([x, y])
         self.speed = float(np.linalg.norm(target - self.position)) / dt
         self.turn_rate = turn / dt
         self.heading += turn

@@ -40,8 +40,8 @@ class Config(NodeConfig, frozen=True):
     until: float | None = None
     """Leave out who would enter later than this [s]; the launcher puts the run's duration here."""
     on_arrival: Literal["auto", "leave", "walk_on"] = "auto"
-    """What who has reached a goal does: leave the scene, or get a new goal. `auto`: those of a recording leave,
-    others walk on."""
+    """What those do who have reached their goal: leave the scene, or get a new goal. `auto`: people of a
+    recording leave, others walk on."""
     arrival_radius: float = 0.6
     """Distance from the goal at which it counts as reached [m]."""
     clearance: float = 0.6

@@ -48,7 +48,7 @@ class Referee(Node[Config]):
         self._track_total = 0.0
         self._track_samples = 0
         self._last_stamp_ns: int | None = None
-        self._obstacles = shapely.MultiPolygon()
+        self._obstacles: shapely.Geometry = shapely.MultiPolygon()
         self._radii: dict[int, float] = {}
         self._tracks: dict[int, np.ndarray] = {}
 
@@ -85,7 +85,7 @@ class Referee(Node[Config]):
         pairs = np.argwhere(np.triu(gap < -self.config.tolerance, 1))
         touching = {(int(ids[i]), int(ids[j])) for i, j in pairs}
         self._agent_overlaps += len(np.unique(pairs))
-        if not self._obstacles.is_empty:
+        if not shapely.is_empty(self._obstacles):
             clear = shapely.distance(shapely.points(xy), self._obstacles)
             blocked = clear < radius - self.config.tolerance
             self._obstacle_overlaps += int(blocked.sum())

@@ -36,6 +36,8 @@ from ..models.world import World
 from .node import Inbox, Node, NodeConfig
 from .spin import spin
 
+TICK_RATE_HZ = 30
+"""Ticks, body states and actions per second (PACER, appendix B)."""
 BOX_LENGTH = 0.4
 """Extent of a person's box along the heading [m]; its width is twice the body's radius."""
 
@@ -60,14 +62,14 @@ class Simulator(Node[Config]):
     inputs = (MAP, POPULATION, ADMISSIONS, BODY_ACTIONS)
     outputs = (CLOCK, AGENTS, BODIES, BODY_STATES, CONTACTS, FALLS)
     requires = (MAP, POPULATION)
-    clock_rate_hz = 30
+    clock_rate_hz = TICK_RATE_HZ
 
     def __init__(self, config: Config, seed: int = 0) -> None:
         super().__init__(config, seed)
-        if config.physics_rate_hz % self.clock_rate_hz or config.physics_rate_hz <= 0:
+        if config.physics_rate_hz % TICK_RATE_HZ or config.physics_rate_hz <= 0:
             raise ConfigError(
                 f"simulator: config: physics_rate_hz: {config.physics_rate_hz} is not a multiple of "
-                f"{self.clock_rate_hz}"
+                f"{TICK_RATE_HZ}"
             )
         self._world: World | None = None
         self._bodies: list[Body] = []
@@ -96,7 +98,7 @@ class Simulator(Node[Config]):
                 self._enter(world, enter)
         self._act(world, inbox)
         if self._step:
-            world.advance(1 / self.clock_rate_hz)
+            world.advance(1 / TICK_RATE_HZ)
         present = np.flatnonzero(world.present)
         joints = world.joint_states(present)
         outgoing.append(BODY_STATES(BodyStates(self._population.ids[present], joints)))
