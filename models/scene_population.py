@@ -188,20 +188,23 @@ class _Draw:
         self.areas = {name: shapely.Polygon(polygon) for name, polygon in scene.areas.items()}
 
     def entries(self, count: int) -> list[Entry]:
-        entries: list[Entry] = []
+        drawn: list[tuple[float, np.ndarray, np.ndarray, float, int | None]] = []
         groups = 0
         for flow, size in self._parties(count):
-            who = f"pedestrian {len(entries) + 1} of {count}"
+            who = f"pedestrian {len(drawn) + 1} of {count}"
             speed = min(self._speed() for _ in range(size))  # a group walks as its slowest member does
             time, places = self._places(flow, size, who)
             group = groups if size > 1 else None
             groups += size > 1
             for xy, goal in zip(places, self._goals(flow.goal, places, who), strict=True):
-                way = goal - xy
-                velocity = speed * way / max(float(np.hypot(*way)), 1e-9)
-                body = _body_seed(self.body_base, len(entries))
-                entries.append(Entry(time, xy, velocity, goal, speed, body, group))
-        return sorted(entries, key=lambda entry: entry.time)
+                drawn.append((time, xy, goal, speed, group))
+        entries: list[Entry] = []
+        for time, xy, goal, speed, group in sorted(drawn, key=lambda row: row[0]):
+            way = goal - xy
+            velocity = speed * way / max(float(np.hypot(*way)), 1e-9)
+            body = _body_seed(self.body_base, len(entries))
+            entries.append(Entry(time, xy, velocity, goal, speed, body, group))
+        return entries
 
     def _parties(self, count: int) -> list[tuple[Flow, int]]:
         """Flow and size of every group and single, in random order.
