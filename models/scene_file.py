@@ -31,7 +31,7 @@ class Obstacle(_Strict, frozen=True):
     Attributes:
         name: What it is, for people ("bus shelter").
         polygon: Ground outline (K, 2), metres, world frame, counter-clockwise, no hole, not closed.
-        height: Height above the ground, metres.
+        height: Height above the mean ground level of its corners, metres.
     """
 
     name: str
@@ -160,7 +160,7 @@ def read_scene_file(path: Path) -> SceneFile:
 def write_scene_file(scene: SceneFile, path: Path) -> None:
     """Write `scene.yaml`, a polygon a line, numbers to a tenth of a millimetre; always the same bytes."""
     plain = msgspec.to_builtins(scene, enc_hook=np.ndarray.tolist)
-    text = yaml.dump(_flow(plain), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110)
+    text = yaml.dump(_flow(plain), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=math.inf)
     path.write_text(text, encoding="utf-8")
 
 
@@ -241,12 +241,17 @@ _Dumper.add_representer(_Row, lambda dump, row: dump.represent_sequence("tag:yam
 
 
 def _flow(value: Any) -> Any:
-    """Lists of numbers, and lists of such lists, in one line; floats rounded to 0.1 mm."""
+    """Numbers and points in one line each, so that a polygon is a line; floats rounded to 0.1 mm."""
     if isinstance(value, dict):
         return {key: _flow(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         items = [_flow(item) for item in value]
-        return _Row(items) if all(isinstance(item, _Row | float | int) for item in items) else items
+        in_line = all(isinstance(item, float | int) or _is_point(item) for item in items)
+        return _Row(items) if in_line else items
     if isinstance(value, float):
         return round(value, 4) + 0.0
     return value
+
+
+def _is_point(value: Any) -> bool:
+    return isinstance(value, _Row) and len(value) == 2 and all(isinstance(item, float) for item in value)

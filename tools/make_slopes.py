@@ -1,5 +1,7 @@
 """The `slopes` scene: a lower and an upper terrace joined by ramps, stairs and rough ground."""
 
+from itertools import pairwise
+
 import numpy as np
 import shapely
 from scipy import ndimage
@@ -26,11 +28,15 @@ def slopes() -> Scene:
     """Six ways up: step heights 0.05 + 0.175 d and slopes 0.7 d for d up to 0.63, rough ground of +-0.1 m."""
     origin, resolution = (-17.0, -12.0), 0.1
     cells = (240, 340)
-    walls = [rect(FOOT, high, 9.0, high + 0.3) for _, high in list(STRIPS.values())[:-1]]
+    walls = [
+        rect(left, high, right, high + 0.3)
+        for _, high in list(STRIPS.values())[:-1]
+        for left, right in pairwise((FOOT, -4.5, -3.0, -1.5, 0.0, 3.0, 6.0, 9.0))  # short: they climb
+    ]
     obstacles = [
         solid("north wall", rect(-17, 11.7, 17, 12), 2.2),
         solid("south wall", rect(-17, -12, 17, -11.7), 2.2),
-        *(solid("parapet", wall, 0.9) for wall in walls),
+        *(solid("parapet", wall, 1.1) for wall in walls),
         bench(-13.0, -9.0, 90),
         bench(-13.0, 9.0, 90),
         bench(14.5, 4.4, 90),
