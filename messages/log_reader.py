@@ -1,0 +1,327 @@
+"""Reads logs: typed messages in the order asked for, also from a log whose recorder was killed."""
+
+import heapq
+import logging
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Generic, Literal, TypeVar
+
+import msgpack
+import msgspec
+import numpy as np
+
+from .array import DTYPES
+from .bus import Received
+from .codec import Codec, MessageError
+from .config import near
+from .graph import Graph
+from .log_format import GRAPH_FILE, REPEATED, RUN, VERSIONS, LogChannel, LogError
+from .log_index import ChunkPlace, LogIndex, RawMessage, read_chunk, read_index
+from .topics import TOPICS, Topic
+
+M = TypeVar("M")
+log = logging.getLogger(__name__)
+
+Order = Literal["stamp", "sent", "file"]
+"""`stamp`: by simulation time, topic, publisher, sequence number. `sent`: as sent, which is the order in
+which things happened. `file`: as they stand in the file."""
+
+
+@dataclass(slots=True, eq=False)
+class Logged(Generic[M]):
+    """A message of a log."""
+
+    channel: LogChannel
+    sequence: int
+    stamp_ns: int
+    sent_ns: int
+    record: bytes
+    """The self-contained msgpack record."""
+    _decode: Any
+
+    @property
+    def topic(self) -> str:
+        """Topic name."""
+        return self.channel.topic
+
+    @property
+    def publisher(self) -> str:
+        """Name of the node that sent it."""
+        return self.channel.publisher
+
+    @property
+    def source(self) -> str:
+        """`topic@publisher`."""
+        return self.channel.source
+
+    @property
+    def message(self) -> M:
+        """The message: our struct where the log's type is the one known here, else plain dicts and arrays.
+
+        Raises:
+            MessageError: the record is not what its schema promises.
+        """
+        return self._decode(self.record)
+
+    def received(self, port: str) -> Received[Any]:
+        """As a bus would have delivered it."""
+        message: Any = self.message
+        return Received(port, self.topic, self.publisher, self.sequence, self.stamp_ns, self.sent_ns, message)
+
+
+class LogReader:
+    """One log file.
+
+    An unfinished file is read as far as its chunks are complete, and a warning says so.
+
+    Args:
+        path: The log.
+        topics: Topics whose types are known, built-in and custom.
+
+    Raises:
+        LogError: missing, empty, not an MCAP file, or not a log of ours.
+    """
+
+    def __init__(self, path: str | Path, topics: Mapping[str, Topic] = TOPICS) -> None:
+        self.index: LogIndex = read_index(path)
+        self.path = self.index.path
+        self._known = topics
+        self._decoders: dict[int, Any] = {}
+        if not self.index.complete:
+            log.warning("%s was not finished by its recorder; its complete chunks are used", self.path)
+
+    @property
+    def channels(self) -> list[LogChannel]:
+        """All channels, by topic and publisher."""
+        return sorted(self.index.channels.values(), key=lambda c: (c.topic, c.publisher, c.life))
+
+    @property
+    def topics(self) -> list[str]:
+        """Names of the topics in the log."""
+        return sorted({channel.topic for channel in self.index.channels.values()})
+
+    @property
+    def graph(self) -> Graph | None:
+        """The graph the log was recorded from.
+
+        Raises:
+            LogError: the attached graph is not one this release understands.
+        """
+        data = self.index.attachments.get(GRAPH_FILE)
+        if data is None:
+            return None
+        try:
+            return msgspec.json.decode(data, type=Graph)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise LogError(f"{self.path}: its {GRAPH_FILE} is not a graph: {error}") from None
+
+    @property
+    def run(self) -> dict[str, str]:
+        """Facts about the run: format, graph, seed, recorded."""
+        return self.index.metadata.get(RUN, {})
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """Releases of the packages that took part."""
+        return self.index.metadata.get(VERSIONS, {})
+
+    @property
+    def repeated(self) -> dict[str, int]:
+        """Latched messages carried over from the log before in a split: sequence by `topic@publisher`."""
+        return {source: int(n) for source, n in self.index.metadata.get(REPEATED, {}).items()}
+
+    @property
+    def message_count(self) -> int:
+        """Messages in the log."""
+        return sum(self.index.counts.values())
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last stamp."""
+        chunks = self.index.chunks
+        return (
+            min((c.start_ns for c in chunks), default=0),
+            max((c.end_ns for c in chunks), default=0),
+        )
+
+    def check_topics(self, names: Iterable[str]) -> None:
+        """Raise a `LogError` with the near match for a topic the log does not have."""
+        for name in names:
+            if name not in self.topics:
+                raise LogError(f"{self.path}: has no topic {name!r}; {near(name, self.topics)}")
+
+    def messages(
+        self,
+        topics: Collection[str] | None = None,
+        *,
+        exclude: Collection[str] = (),
+        publisher: str | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+        order: Order = "stamp",
+    ) -> Iterator[Logged[Any]]:
+        """The messages of the log.
+
+        Args:
+            topics: Only these; None for all.
+            exclude: Not these.
+            publisher: Only from this node.
+            start_ns: Only stamps from here.
+            end_ns: Only stamps before this.
+            order: See `Order`.
+
+        Raises:
+            LogError: an unknown topic, or a damaged chunk.
+        """
+        self.check_topics([*(topics or ()), *exclude])
+        wanted = {
+            channel.id
+            for channel in self.index.channels.values()
+            if (topics is None or channel.topic in topics)
+            and channel.topic not in exclude
+            and publisher in (None, channel.publisher)
+        }
+        low = -1 if start_ns is None else start_ns
+        high = 1 << 64 if end_ns is None else end_ns
+        places = [
+            place
+            for place in self.index.chunks
+            if place.start_ns < high and place.end_ns >= low and wanted & place.channels
+        ]
+        with self.path.open("rb") as file:
+            for raw in self._ordered(file, places, order):
+                if raw.channel in wanted and low <= raw.stamp_ns < high:
+                    yield self._logged(raw)
+
+    def read(self, topic: Topic[Any], **selection: Any) -> Iterator[Logged[Any]]:
+        """Like `messages`, of one topic, all of its type.
+
+        Raises:
+            LogError: the topic is missing, or was recorded with another schema.
+        """
+        self.check_topics([topic.name])
+        codec = Codec(topic.name, topic.type)
+        for channel in self.channels:
+            if channel.topic == topic.name and channel.schema != codec.schema.hex():
+                raise LogError(
+                    f"{self.path}: {channel.source} was recorded as {channel.type_name} {channel.schema}, "
+                    f"this release knows {topic.type.__name__} {codec.schema.hex()}"
+                )
+        return self.messages([topic.name], **selection)
+
+    def last_before(self, stamp_ns: int, topics: Collection[str] | None = None) -> list[Logged[Any]]:
+        """The last message of every latched channel (or of `topics`) with a stamp before `stamp_ns`."""
+        open_channels = {
+            channel.id
+            for channel in self.index.channels.values()
+            if (channel.latched if topics is None else channel.topic in topics)
+        }
+        found: list[RawMessage] = []
+        with self.path.open("rb") as file:
+            for place in reversed(self.index.chunks):
+                if place.start_ns >= stamp_ns or not open_channels & place.channels:
+                    continue
+                last = {
+                    raw.channel: raw
+                    for raw in read_chunk(self.index, file, place)
+                    if raw.channel in open_channels and raw.stamp_ns < stamp_ns
+                }
+                found += last.values()
+                open_channels -= set(last)
+        newest = {self.index.channels[raw.channel].source: raw for raw in sorted(found, key=_by_sequence)}
+        return [self._logged(raw) for raw in sorted(newest.values(), key=lambda raw: raw.sent_ns)]
+
+    def _ordered(self, file: IO[bytes], places: list[ChunkPlace], order: Order) -> Iterator[RawMessage]:
+        if order == "file":
+            for place in places:
+                yield from read_chunk(self.index, file, place)
+        elif order == "sent":
+            yield from self._sent_order(file, places)
+        else:
+            yield from self._stamp_order(file, places)
+
+    def _stamp_order(self, file: IO[bytes], places: list[ChunkPlace]) -> Iterator[RawMessage]:
+        """Merge chunks, holding no more of them than overlap in time."""
+        channels = self.index.channels
+        heap: list[tuple[int, str, str, int, int, RawMessage]] = []
+        counter = 0
+        for place in sorted(places, key=lambda p: p.start_ns):
+            while heap and heap[0][0] < place.start_ns:
+                yield heapq.heappop(heap)[-1]
+            for raw in read_chunk(self.index, file, place):
+                channel = channels[raw.channel]
+                key = (raw.stamp_ns, channel.topic, channel.publisher, raw.sequence, counter, raw)
+                heapq.heappush(heap, key)
+                counter += 1
+        while heap:
+            yield heapq.heappop(heap)[-1]
+
+    def _sent_order(self, file: IO[bytes], places: list[ChunkPlace]) -> Iterator[RawMessage]:
+        """A recorder takes messages nearly in the order of sending: two neighbouring chunks are merged."""
+        held: list[RawMessage] = []
+        for place in places:
+            held.sort(key=_by_sending)
+            fresh = sorted(read_chunk(self.index, file, place), key=_by_sending)
+            bound = fresh[0].sent_ns if fresh else 0
+            cut = next((i for i, raw in enumerate(held) if raw.sent_ns >= bound), len(held))
+            yield from held[:cut]
+            held = held[cut:] + fresh
+        yield from sorted(held, key=_by_sending)
+
+    def _logged(self, raw: RawMessage) -> Logged[Any]:
+        channel = self.index.channels[raw.channel]
+        decode = self._decoders.get(channel.id)
+        if decode is None:
+            decode = self._decoders[channel.id] = self._decoder(channel)
+        return Logged(channel, raw.sequence, raw.stamp_ns, raw.sent_ns, raw.data, decode)
+
+    def _decoder(self, channel: LogChannel) -> Any:
+        topic = self._known.get(channel.topic)
+        if topic is None:
+            log.warning("%s: topic %s is not known here; it is read as plain data", self.path, channel.topic)
+            return plain_decoder(channel.topic)
+        codec = Codec(topic.name, topic.type)
+        if codec.schema.hex() == channel.schema:
+            return codec.decode
+        log.warning(
+            "%s: %s was recorded as %s %s, this release knows %s %s; it is read as plain data",
+            self.path,
+            channel.source,
+            channel.type_name,
+            channel.schema,
+            topic.type.__name__,
+            codec.schema.hex(),
+        )
+        return plain_decoder(channel.topic)
+
+
+def plain_decoder(topic: str) -> Any:
+    """Decodes records of any type into dicts, lists and arrays."""
+
+    def decode(record: bytes) -> Any:
+        try:
+            return _arrays(msgpack.unpackb(record))
+        except (ValueError, msgpack.UnpackException) as error:
+            raise MessageError(topic, "", f"is not msgpack: {error}") from None
+
+    return decode
+
+
+def _arrays(value: Any) -> Any:
+    """Turn `[dtype, shape, bytes]` into arrays."""
+    if isinstance(value, dict):
+        return {key: _arrays(item) for key, item in value.items()}
+    if not isinstance(value, list):
+        return value
+    if len(value) == 3 and isinstance(value[0], str) and value[0] in DTYPES and isinstance(value[2], bytes):
+        return np.frombuffer(value[2], DTYPES[value[0]]).reshape(value[1])
+    return [_arrays(item) for item in value]
+
+
+def _by_sequence(raw: RawMessage) -> int:
+    return raw.sequence
+
+
+def _by_sending(raw: RawMessage) -> tuple[int, int, int]:
+    return raw.sent_ns, raw.channel, raw.sequence

@@ -1,0 +1,383 @@
+"""Writes MCAP logs chunk by chunk; whatever happens, the file holds every chunk that was written."""
+
+import errno
+import os
+import struct
+import zlib
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import msgspec
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+
+from .bus import LIFE_BITS
+from .codec import Codec
+from .graph import Graph
+from .log_format import (
+    FORMAT,
+    GRAPH_FILE,
+    MESSAGE_ENCODING,
+    PROFILE,
+    RUN,
+    SCHEMA_ENCODING,
+    VERSIONS,
+    LogError,
+)
+from .schema import json_schema, schema_hash
+from .topics import Topic
+
+CHUNK_BYTES = 1 << 19
+"""A chunk is closed when its messages have this size before compression."""
+FLUSH_PERIOD = 1.0
+"""And at the latest after this wall time [s]: what a killed recorder can lose."""
+_LEVEL = 1
+_MESSAGE = struct.Struct("<BQHIQQ")
+_SEQUENCE_MASK = (1 << LIFE_BITS) - 1
+
+
+class DiskFullError(LogError):
+    """The log could not grow: what was written before is intact and closed as far as there was room."""
+
+    def __init__(self, text: str, given_up: Mapping[str, int]) -> None:
+        super().__init__(text)
+        self.given_up = given_up
+        """Messages accepted earlier that are not in the file, by `topic@publisher`."""
+
+
+@dataclass(slots=True)
+class _OpenChunk:
+    """Messages on their way into one chunk."""
+
+    parts: list[bytes] = field(default_factory=list)
+    size: int = 0
+    start_ns: int = 1 << 64
+    end_ns: int = 0
+    index: dict[int, list[tuple[int, int]]] = field(default_factory=lambda: defaultdict(list))
+
+
+class LogWriter:
+    """One MCAP file.
+
+    Every chunk goes out in one write together with the records that describe it; a write that fails is
+    taken back, so that the file never ends in half a chunk while this process lives.
+
+    Args:
+        path: The file; its folder is made if it does not exist.
+        graph: The graph that runs; attached as `graph.json`.
+        metadata: Further metadata records, name to values.
+        overwrite: Whether an existing file may be replaced.
+        chunk_bytes: Size at which a chunk is closed [bytes].
+        flush_period: Wall time after which `tick` closes a chunk [s].
+        quota: Size the file may reach [bytes], its summary not counted; None for no limit.
+
+    Raises:
+        LogError: the file exists, or cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        graph: Graph | None = None,
+        metadata: Mapping[str, Mapping[str, str]] | None = None,
+        *,
+        overwrite: bool = False,
+        chunk_bytes: int = CHUNK_BYTES,
+        flush_period: float = FLUSH_PERIOD,
+        quota: int | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.size = 0
+        """Bytes in the file."""
+        self.messages = 0
+        """Messages that stand in the file or wait in the open chunk."""
+        self.closed = False
+        self._quota = quota
+        self._chunk_bytes = chunk_bytes
+        self._flush_period = flush_period
+        self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
+        self._chunk = _OpenChunk()
+        self._flushed_at = monotonic()
+        self._descriptions: list[McapRecord] = []
+        self._schemas: dict[type[msgspec.Struct], Schema] = {}
+        self._channels: dict[tuple[str, str, int], Channel] = {}
+        self._chunks: list[ChunkIndex] = []
+        self._counts: list[dict[int, int]] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        self._codecs: dict[str, Codec] = {}
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | (os.O_TRUNC if overwrite else os.O_EXCL)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = os.open(self.path, flags, 0o644)
+        except OSError as error:
+            if self.path.exists() and not overwrite:
+                raise LogError(f"{self.path}: exists already; choose another name or overwrite it") from None
+            raise LogError(f"{self.path}: cannot be written: {error.strerror}") from None
+        self._begin(graph, dict(metadata or {}))
+
+    def _begin(self, graph: Graph | None, metadata: dict[str, Mapping[str, str]]) -> None:
+        self._append(MCAP0_MAGIC + _bytes(Header(PROFILE, f"footfall format {FORMAT}")))
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        run = {"format": FORMAT, "recorded": now} | dict(metadata.pop(RUN, {}))
+        if graph is not None:
+            run |= {"graph": graph.name, "seed": str(graph.seed)}
+            metadata.setdefault(VERSIONS, graph.versions)
+            self.attach(GRAPH_FILE, "application/json", msgspec.json.encode(graph))
+        for name, values in {RUN: run, **metadata}.items():
+            data = _bytes(Metadata(name, dict(values)))
+            self._metadata.append(MetadataIndex(self.size, len(data), name))
+            self._append(data)
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Put a whole file into the log."""
+        record = _bytes(Attachment(0, 0, name, media_type, data))
+        self._attachments.append(AttachmentIndex(self.size, len(record), 0, 0, len(data), name, media_type))
+        self._append(record)
+
+    def write(
+        self, topic: Topic, publisher: str, sequence: int, stamp_ns: int, sent_ns: int, record: bytes
+    ) -> None:
+        """Add one message.
+
+        Args:
+            topic: What it is.
+            publisher: Who sent it.
+            sequence: Its number, the publisher's restarts in the upper 32 bits.
+            stamp_ns: Simulation time it speaks of.
+            sent_ns: Monotonic time of sending.
+            record: The self-contained msgpack record (`Codec.encode_inline`).
+
+        Raises:
+            LogError: a time is negative, which MCAP cannot hold.
+            DiskFullError: the log cannot grow any more; it is closed, this message is not in it.
+        """
+        if stamp_ns < 0 or sent_ns < 0:
+            raise LogError(f"{self.path}: {topic.name}@{publisher}: time {min(stamp_ns, sent_ns)} ns < 0")
+        if self._chunk.size >= self._chunk_bytes:
+            self.flush()
+        life = sequence >> LIFE_BITS
+        channel = self._channels.get((topic.name, publisher, life)) or self._describe(topic, publisher, life)
+        chunk = self._chunk
+        chunk.index[channel.id].append((stamp_ns, chunk.size))
+        length = 22 + len(record)
+        chunk.parts += (
+            _MESSAGE.pack(Opcode.MESSAGE, length, channel.id, sequence & _SEQUENCE_MASK, stamp_ns, sent_ns),
+            record,
+        )
+        chunk.size += 9 + length
+        chunk.start_ns = min(chunk.start_ns, stamp_ns)
+        chunk.end_ns = max(chunk.end_ns, stamp_ns)
+        self.messages += 1
+
+    def write_message(
+        self, topic: Topic, publisher: str, sequence: int, stamp_ns: int, sent_ns: int, message: Any
+    ) -> None:
+        """Like `write`, from a message instead of its bytes."""
+        codec = self._codecs.setdefault(topic.name, Codec(topic.name, topic.type))
+        self.write(topic, publisher, sequence, stamp_ns, sent_ns, codec.encode_inline(message))
+
+    def _describe(self, topic: Topic, publisher: str, life: int) -> Channel:
+        """Add a channel, and its schema if that is new."""
+        schema = self._schemas.get(topic.type)
+        if schema is None:
+            data = msgspec.json.encode(json_schema(topic.type), order="deterministic")
+            schema = Schema(len(self._schemas) + 1, data, SCHEMA_ENCODING, topic.type.__name__)
+            self._schemas[topic.type] = schema
+            self._descriptions.append(schema)
+        facts = {
+            "topic": topic.name,
+            "publisher": publisher,
+            "life": str(life),
+            "schema": schema_hash(topic.type).hex(),
+            "latched": str(topic.latched).lower(),
+            "deterministic": str(topic.deterministic).lower(),
+        }
+        channel = Channel(len(self._channels) + 1, topic.name, MESSAGE_ENCODING, facts, schema.id)
+        self._channels[topic.name, publisher, life] = channel
+        self._descriptions.append(channel)
+        return channel
+
+    def tick(self, now: float | None = None) -> None:
+        """Close the chunk if it is older than the flush period; to be called often, also when idle."""
+        now = monotonic() if now is None else now
+        if now - self._flushed_at >= self._flush_period:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the open chunk into the file.
+
+        Raises:
+            DiskFullError: there is no room; the log is closed.
+        """
+        self._flushed_at = monotonic()
+        chunk, self._chunk = self._chunk, _OpenChunk()
+        if not chunk.parts:
+            return
+        plain = b"".join(chunk.parts)
+        data = self._compressor.compress(plain)
+        described = _bytes(*self._descriptions)
+        record = _bytes(Chunk("zstd", data, chunk.end_ns, chunk.start_ns, zlib.crc32(plain), len(plain)))
+        offsets, indexes, at = {}, [], self.size + len(described) + len(record)
+        for channel, entries in chunk.index.items():
+            offsets[channel] = at
+            indexes.append(_bytes(MessageIndex(channel, entries)))
+            at += len(indexes[-1])
+        start = self.size + len(described)
+        counts = {channel: len(entries) for channel, entries in chunk.index.items()}
+        try:
+            self._append(b"".join((described, record, *indexes)))
+        except OSError as error:
+            self._close_full(error, counts)
+        self._descriptions = []
+        self._counts.append(counts)
+        self._chunks.append(
+            ChunkIndex(
+                len(record),
+                start,
+                "zstd",
+                len(data),
+                chunk.end_ns,
+                sum(map(len, indexes)),
+                offsets,
+                chunk.start_ns,
+                len(plain),
+            )
+        )
+
+    def _append(self, data: bytes) -> None:
+        """Write all of `data`, or nothing."""
+        try:
+            if self._quota is not None and self.size + len(data) > self._quota:
+                raise OSError(errno.EDQUOT, f"the quota of {self._quota} bytes is reached")
+            view = memoryview(data)
+            while view:
+                view = view[os.write(self._file, view) :]
+        except OSError:
+            os.ftruncate(self._file, self.size)
+            os.lseek(self._file, self.size, os.SEEK_SET)
+            raise
+        self.size += len(data)
+
+    def _close_full(self, error: OSError, given_up: dict[int, int]) -> None:
+        """Close a log that cannot grow, giving up chunks at its end until the summary fits."""
+        lost = defaultdict(int, given_up)
+        self._quota = None
+        while not self._try_finish() and self._chunks:
+            for channel, count in self._counts.pop().items():
+                lost[channel] += count
+            self.size = self._chunks.pop().chunk_start_offset
+            os.ftruncate(self._file, self.size)
+            os.lseek(self._file, self.size, os.SEEK_SET)
+        self.messages -= sum(lost.values())
+        self.closed = True
+        os.close(self._file)
+        sources = {c.id: f"{c.topic}@{c.metadata['publisher']}" for c in self._channels.values()}
+        by_source: dict[str, int] = defaultdict(int)
+        for channel, count in lost.items():
+            by_source[sources[channel]] += count
+        raise DiskFullError(
+            f"{self.path}: {error.strerror}; recording has stopped, the {self.messages} messages before are "
+            "in the file",
+            by_source,
+        )
+
+    def _try_finish(self) -> bool:
+        try:
+            self._append(self._summary())
+        except OSError:
+            return False
+        return True
+
+    def _summary(self) -> bytes:
+        """Everything that follows the last chunk."""
+        end = _bytes(DataEnd(0))
+        start = self.size + len(end)
+        totals: dict[int, int] = defaultdict(int)
+        for counts in self._counts:
+            for channel, count in counts.items():
+                totals[channel] += count
+        channels = list(self._channels.values())
+        statistics = Statistics(
+            len(self._attachments),
+            len(channels),
+            dict(totals),
+            len(self._chunks),
+            sum(totals.values()),
+            max((c.message_end_time for c in self._chunks), default=0),
+            min((c.message_start_time for c in self._chunks), default=0),
+            len(self._metadata),
+            len(self._schemas),
+        )
+        groups: list[tuple[Opcode, list[Any]]] = [
+            (Opcode.SCHEMA, list(self._schemas.values())),
+            (Opcode.CHANNEL, channels),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.ATTACHMENT_INDEX, self._attachments),
+            (Opcode.METADATA_INDEX, self._metadata),
+        ]
+        summary, offsets = b"", []
+        for opcode, records in groups:
+            data = _bytes(*records)
+            if data:
+                offsets.append(SummaryOffset(opcode, start + len(summary), len(data)))
+            summary += data
+        offset_start = start + len(summary)
+        summary += _bytes(*offsets)
+        footer_head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
+        crc = zlib.crc32(footer_head, zlib.crc32(summary))
+        return end + summary + _bytes(Footer(start, offset_start, crc)) + MCAP0_MAGIC
+
+    def close(self) -> None:
+        """Write what is left and the summary.
+
+        Raises:
+            DiskFullError: there is no room; the file is intact as far as it goes.
+        """
+        if self.closed:
+            return
+        self.flush()
+        try:
+            self._append(self._summary())
+        except OSError as error:
+            self._close_full(error, {})
+        self.closed = True
+        os.close(self._file)
+
+    def __enter__(self) -> "LogWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _bytes(*records: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return builder.end()
