@@ -142,7 +142,7 @@ class Follower:
         self._way = np.array([[*position, heading]])
 
     def take(self, stamp: float, points: np.ndarray, headings: np.ndarray) -> None:
-        """Follow a new plan from here on: points (T, 2) [m], headings (T,) [rad], `PLAN_DT` apart after `stamp`."""
+        """Follow points (T, 2) [m] and headings (T,) [rad] `PLAN_DT` apart after `stamp` from here on."""
         times = stamp + PLAN_DT * np.arange(1, len(points) + 1)
         ahead = times > self.time + 1e-6
         headings = np.unwrap(np.concatenate([[self.heading], headings[ahead]]))

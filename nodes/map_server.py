@@ -12,6 +12,7 @@ from ..messages.config import ConfigError
 from ..messages.map import HeightField, Obstacle, SemanticMap
 from ..messages.topics import CLOCK, MAP, Outgoing
 from ..models.scene import ObstacleDropped, Scene, SceneError, load_scene
+from ..models.scene_layers import rasterize
 from .node import Inbox, Node, NodeConfig
 from .spin import spin
 
@@ -57,10 +58,14 @@ def message_of(scene: Scene, dropped: Iterable[ObstacleDropped]) -> SemanticMap:
     """The map of a scene with the obstacles dropped so far."""
     obstacles = [*scene.obstacles, *(event.obstacle for event in dropped)]
     terrain = scene.terrain
+    solid = rasterize(
+        [o.polygon for o in obstacles], scene.shape, scene.resolution, scene.origin, touched=True
+    )
+    layers = {**scene.layers, "obstacle": solid}
     return SemanticMap(
         name=scene.name,
-        layers=list(scene.layers),
-        raster=np.stack([(layer > 0).astype(np.uint8) for layer in scene.layers.values()]),
+        layers=list(layers),
+        raster=np.stack([(layer > 0).astype(np.uint8) for layer in layers.values()]),
         resolution=scene.resolution,
         origin=scene.origin,
         obstacles=[Obstacle(o.name, np.asarray(o.polygon, dtype=np.float64), o.height) for o in obstacles],
