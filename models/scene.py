@@ -26,7 +26,6 @@ from .scene_file import (
     write_scene_file,
 )
 from .scene_layers import (
-    counter_clockwise,
     rasterize,
     read_png,
     read_tracks,
@@ -218,7 +217,7 @@ def load_scene(name: str | Path) -> Scene:
             resolution=text.resolution,
             origin=text.origin,
             layers=layers,
-            obstacles=tuple(Obstacle(o.name, counter_clockwise(o.polygon), o.height) for o in text.obstacles),
+            obstacles=text.obstacles,
             terrain=_load_terrain(folder, text) if text.terrain else None,
             areas=text.areas,
             population=_load_population(folder, text.population),

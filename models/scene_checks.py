@@ -71,6 +71,10 @@ def _check_population(scene: "Scene") -> None:
         for index, flow in enumerate(scene.population.flows):
             for key, name in (("spawn", flow.spawn), ("goal", flow.goal)):
                 _check_area(scene, name, f"population.flows[{index}].{key}")
+        for index, event in enumerate(scene.events):
+            if isinstance(event, NewGoal) and event.agent >= scene.population.count:
+                last = scene.population.count - 1
+                raise SceneError(f"events[{index}].agent: {event.agent}, but the last pedestrian is {last}")
     for index, event in enumerate(scene.events):
         if isinstance(event, NewGoal) and isinstance(event.goal, str):
             _check_area(scene, event.goal, f"events[{index}].goal")

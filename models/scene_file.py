@@ -30,7 +30,8 @@ class Obstacle(_Strict, frozen=True):
 
     Attributes:
         name: What it is, for people ("bus shelter").
-        polygon: Ground outline (K, 2), metres, world frame, counter-clockwise, no hole, not closed.
+        polygon: Ground outline (K, 2), metres, world frame, counter-clockwise (a file may say it either way
+            round), no hole.
         height: Height above the mean ground level of its corners, metres.
     """
 
@@ -169,7 +170,15 @@ def _decode_array(kind: type, value: Any) -> Any:
         raise NotImplementedError(kind)
     if not _is_polygon(value):
         raise ValueError("Expected a polygon: a list of at least three points [x, y] in metres")
-    return np.array(value, dtype=np.float64)
+    return _counter_clockwise(np.array(value, dtype=np.float64))
+
+
+def _counter_clockwise(polygon: np.ndarray) -> np.ndarray:
+    """The same outline (K, 2) in counter-clockwise order, without a repeated last point."""
+    points = polygon[:-1] if len(polygon) > 3 and np.allclose(polygon[0], polygon[-1]) else polygon
+    x, y = points.T
+    area = 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    return points if area >= 0 else points[::-1].copy()
 
 
 def _is_polygon(value: Any) -> bool:

@@ -79,14 +79,6 @@ def signed_distance(polygons: list[np.ndarray], xy: np.ndarray) -> np.ndarray:
     return nearest.reshape(np.shape(xy)[:-1])
 
 
-def counter_clockwise(polygon: np.ndarray) -> np.ndarray:
-    """The same outline (K, 2) in counter-clockwise order, without a repeated last point."""
-    points = polygon[:-1] if len(polygon) > 3 and np.allclose(polygon[0], polygon[-1]) else polygon
-    x, y = points.T
-    area = 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
-    return points if area >= 0 else points[::-1].copy()
-
-
 def polygon_fault(polygon: np.ndarray) -> str | None:
     """Say what is wrong with an outline (K, 2): its shape, a NaN, no area, crossing itself; None: nothing."""
     if polygon.ndim != 2 or polygon.shape[1:] != (2,) or len(polygon) < 3:
