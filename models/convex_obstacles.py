@@ -195,13 +195,15 @@ def convex_pieces(polygon: ArrayLike, name: str = "polygon") -> list[Array]:
         raise ObstacleError(f"{name} encloses no area; give a wall as two points")
     if area < 0:
         corners = corners[::-1]
+    if _crosses_itself(corners):
+        raise ObstacleError(f"{name} crosses itself; a simple polygon is needed")
     if _is_convex(corners):
         return [corners]
     ring, pieces = list(range(len(corners))), []
     while len(ring) > 3:
         ear = next((k for k in range(len(ring)) if _is_ear(corners, ring, k)), None)
         if ear is None:
-            raise ObstacleError(f"{name} crosses itself; a simple polygon is needed")
+            raise ObstacleError(f"{name} touches itself; a simple polygon is needed")
         pieces.append([ring[ear - 1], ring[ear], ring[(ear + 1) % len(ring)]])
         del ring[ear]
     pieces.append(ring)
@@ -233,6 +235,14 @@ def _join(a: list[int], b: list[int]) -> list[int] | None:
             j = b.index(start)
             return a[i + 1 :] + a[: i + 1] + (b[j:] + b[:j])[1:-1]
     return None
+
+
+def _crosses_itself(corners: Array) -> bool:
+    """Whether two edges cross at a point inside both."""
+    edge = np.roll(corners, -1, axis=0) - corners
+    side = _cross(edge[:, None], corners - corners[:, None])  # (V, V), [i, j]: corner j beside edge i
+    parted = side * np.roll(side, -1, axis=1) < 0  # edge j has its ends on both sides of edge i
+    return bool((parted & parted.T).any())
 
 
 def _is_ear(corners: Array, ring: list[int], k: int) -> bool:

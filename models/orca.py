@@ -230,7 +230,7 @@ def _safe(chosen: Array, neighbors: Neighbors, pieces: ObstaclePieces, max_speed
     Pairs are constrained only once they would touch, because a shared gap also slows agents that move along.
     """
     free = np.maximum(neighbors.distance - neighbors.reach, 0.0)
-    allowed = np.minimum(neighbors.distance, neighbors.reach) - 1e-9
+    allowed = np.maximum(np.minimum(neighbors.distance, neighbors.reach) - 1e-9, 0.0)
     touching = np.zeros_like(neighbors.near)
     normal = np.concatenate((pieces.normal_at_rest, neighbors.away), axis=1)
     velocity = chosen

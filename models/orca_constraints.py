@@ -119,9 +119,10 @@ def _disc_velocity_obstacle(
 
 
 def _parting(one: NDArray[np.intp], other: NDArray[np.intp]) -> Array:
-    """Opposite unit vectors for the two agents of each coincident pair, spread by their indices."""
-    angle = 2.399963 * (np.minimum(one, other) + np.maximum(one, other))  # golden angle
-    return np.stack((np.cos(angle), np.sin(angle)), axis=-1) * np.where(one < other, 1.0, -1.0)[:, None]
+    """Unit vectors along which one of two coincident agents leaves; each index has its own direction."""
+    angle = 2.399963 * np.stack((one, other))  # the golden angle never repeats
+    apart = np.stack((np.cos(angle[0]) - np.cos(angle[1]), np.sin(angle[0]) - np.sin(angle[1])), axis=-1)
+    return apart / np.maximum(np.sqrt(dot(apart, apart)), 1e-12)[:, None]
 
 
 class ObstaclePieces(NamedTuple):

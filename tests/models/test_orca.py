@@ -5,6 +5,8 @@ import pytest
 import shapely
 from footfall.models.convex_obstacles import ConvexObstacles
 from footfall.models.orca import OrcaError, OrcaParams, Rollout, orca_velocity, rollout, smooth_heading
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 RADIUS = 0.4
 
@@ -42,7 +44,7 @@ def obstacle_overlap(run: Rollout, polygons: list[list[np.ndarray]], radius: flo
 
 
 def random_scene(rng: np.random.Generator, agents: int, shapes: int, size: float) -> tuple:
-    """Polygons, starts and goals in a square; everything starts and ends free."""
+    """Polygons, and starts and goals of at most so many agents, free of overlap, in a square."""
     polygons = []
     for _ in range(shapes):
         corners = rng.integers(3, 9)
@@ -54,12 +56,10 @@ def random_scene(rng: np.random.Generator, agents: int, shapes: int, size: float
     solid = shapely.union_all([shapely.Polygon(p) for p in polygons])
 
     def places() -> np.ndarray:
+        tries = rng.uniform(0, size, (1000, 2))
         found: list[np.ndarray] = []
-        while len(found) < agents:
-            place = rng.uniform(0, size, 2)
-            if solid.distance(shapely.Point(place)) > RADIUS and all(
-                np.hypot(*(place - other)) > 2 * RADIUS for other in found
-            ):
+        for place in tries[~(shapely.distance(solid, shapely.points(tries)) <= RADIUS)]:
+            if len(found) < agents and all(np.hypot(*(place - other)) > 2 * RADIUS for other in found):
                 found.append(place)
         return np.array(found)
 
@@ -151,3 +151,82 @@ def test_bad_input_is_named(change: dict, sentence: str):
     }
     with pytest.raises(OrcaError, match=sentence):
         orca_velocity(**(good | change))
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 10**6),
+    agents=st.integers(2, 25),
+    shapes=st.integers(0, 6),
+    dt=st.sampled_from([1 / 60, 0.1, 0.4]),
+    horizon=st.floats(0.5, 5.0),
+    neighbors=st.integers(0, 10),
+)
+def test_discs_that_start_apart_never_touch(
+    seed: int, agents: int, shapes: int, dt: float, horizon: float, neighbors: int
+):
+    rng = np.random.default_rng(seed)
+    polygons, start, _ = random_scene(rng, agents, shapes, 11.0)
+    agents = len(start)
+    max_speed = rng.uniform(1, 3, (1, agents))
+    params = OrcaParams(
+        max_speed=max_speed,
+        max_neighbors=neighbors,
+        time_horizon=horizon,
+        time_horizon_obst=horizon,
+    )
+    goal = np.broadcast_to(rng.uniform(3, 8, 2), (1, agents, 2))  # all to one place, often inside an obstacle
+    run = rollout(
+        start[None],
+        rng.normal(0, 1, (1, agents, 2)),
+        towards(goal, 2.0, dt),
+        60,
+        dt,
+        params,
+        ConvexObstacles.from_polygons([polygons]),
+    )
+    assert agent_overlap(run) < 1e-6
+    assert not polygons or obstacle_overlap(run, [polygons]) < 1e-6
+    assert (np.linalg.norm(run.velocity, axis=-1) <= max_speed[..., None] + 1e-9).all()
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 10**6), dt=st.sampled_from([1 / 60, 0.1]), coincident=st.booleans())
+def test_discs_that_start_overlapping_part_gently(seed: int, dt: float, coincident: bool):
+    rng = np.random.default_rng(seed)
+    start = np.zeros((1, 4, 2)) if coincident else rng.uniform(0, 1, (1, 4, 2))
+    still = np.zeros_like(start)
+    run = rollout(start, still, lambda step, position, velocity: still, int(4 / dt), dt, OrcaParams())
+    arm = run.position[0, :, None] - run.position[0, None]
+    overlap = 2 * RADIUS - np.linalg.norm(arm, axis=-1)[~np.eye(4, dtype=bool)]  # (12, H)
+    assert np.diff(np.maximum(overlap.max(axis=0), 0.0)).max() < 1e-6  # the deepest overlap only shrinks
+    assert overlap[:, -1].max() < 0.01
+    assert np.linalg.norm(run.velocity, axis=-1)[..., -1].max() < 0.05
+
+
+def test_an_agent_inside_an_obstacle_walks_out():
+    box = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    start, still = np.array([[[0.7, 0.1]]]), np.zeros((1, 1, 2))
+    run = rollout(
+        start, still, lambda *_: still, 30, 0.1, OrcaParams(), ConvexObstacles.from_polygons([[box]])
+    )
+    assert run.position[0, 0, -1, 0] == pytest.approx(1.4, abs=0.01)
+    assert np.diff(run.position[0, 0, :, 0]).min() >= 0
+    np.testing.assert_allclose(run.position[0, 0, :, 1], 0.1, atol=1e-9)
+
+
+def test_an_agent_passes_a_gap_little_wider_than_itself():
+    above = np.array([[-0.1, 0.5], [0.1, 0.5], [0.1, 5.0], [-0.1, 5.0]])
+    walls = [above, above * [1, -1]]
+    start = np.array([[[-4.0, 0.8]]])
+    goal = np.array([[[4.0, 0.0]]])
+    run = rollout(
+        start,
+        np.zeros_like(start),
+        towards(goal, 1.3, 0.1),
+        150,
+        0.1,
+        OrcaParams(),
+        ConvexObstacles.from_polygons([walls]),
+    )
+    np.testing.assert_allclose(run.position[0, 0, -1], goal[0, 0], atol=0.05)
