@@ -1,0 +1,146 @@
+"""What must be right about a graph before any process is started."""
+
+import importlib.util
+import re
+import socket
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from ..messages.bus import BusError
+from ..messages.config import ConfigError, near
+from ..messages.graph import LAUNCHER, Graph, NodeSpec, edges
+from ..messages.topics import CLOCK, Topic
+from .wiring import clock_owners
+
+
+def check(graph: Graph, topics: Mapping[str, Topic]) -> None:
+    """Refuse a graph that cannot work.
+
+    Args:
+        graph: The completed graph.
+        topics: Topics by name, built-in and custom.
+
+    Raises:
+        ConfigError: one sentence that names the node and topic, and what would be right.
+    """
+    nodes = [node for node in graph.nodes if node.name != LAUNCHER]
+    if not nodes:
+        raise ConfigError(f"{graph.name}: has no nodes")
+    for node in nodes:
+        _check_module(graph, node)
+        for port, wire in node.inputs.items():
+            _check_port(graph, node, "input", port, wire.topic, topics)
+        for port, topic in node.outputs.items():
+            _check_port(graph, node, "output", port, topic, topics)
+        follows = node.lockstep and graph.clock.mode == "lockstep"
+        if follows and not node.required and node.restart.policy == "never":
+            raise ConfigError(
+                f"{graph.name}: node {node.name} is not required, but in lockstep the clock waits for it;"
+                " say `lockstep: false` or give it a `restart` policy"
+            )
+    _check_clock(graph)
+    _check_publishers(graph, topics)
+    _check_exposed(graph)
+
+
+def _check_module(graph: Graph, node: NodeSpec) -> None:
+    try:
+        found = importlib.util.find_spec(node.module)
+    except (ImportError, ValueError):
+        found = None
+    if found is None:
+        shipped = Path(__file__).parent.parent / "nodes"
+        known = [f"footfall.nodes.{path.stem}" for path in shipped.glob("[a-z]*.py")]
+        raise ConfigError(
+            f"{graph.name}: node {node.name}: no module {node.module!r}; {near(node.module, known)}"
+            f" (modules of your own are looked for in {sys.path[-1]})"
+        )
+
+
+def _check_port(
+    graph: Graph, node: NodeSpec, kind: str, port: str, name: str, topics: Mapping[str, Topic]
+) -> None:
+    where = f"{graph.name}: node {node.name}: {kind} {port!r}"
+    if port not in topics:
+        raise ConfigError(f"{where}: a port is called as its topic in the node's code; {near(port, topics)}")
+    if name not in topics:
+        raise ConfigError(f"{where}: no topic {name!r}; {near(name, topics)}")
+    ours, theirs = topics[port].type, topics[name].type
+    if ours is not theirs:
+        raise ConfigError(f"{where} holds {ours.__name__}, but topic {name!r} carries {theirs.__name__}")
+
+
+def _check_clock(graph: Graph) -> None:
+    owners = clock_owners(graph)
+    if len(owners) != 1:
+        found = f"nodes {' and '.join(owners)} do" if owners else "none does"
+        raise ConfigError(f"{graph.name}: exactly one node must own the clock (output `clock`); {found}")
+    if (name := graph.node(owners[0]).outputs[CLOCK.name]) != CLOCK.name:
+        raise ConfigError(f"{graph.name}: node {owners[0]}: the clock cannot be renamed to {name!r}")
+
+
+def _check_publishers(graph: Graph, topics: Mapping[str, Topic]) -> None:
+    for node in graph.nodes:
+        for port, wire in node.inputs.items():
+            if not graph.publishers(wire.topic):
+                raise ConfigError(
+                    f"{graph.name}: nobody publishes {wire.topic!r}, which node {node.name} takes as {port!r}"
+                )
+    for name in {name for node in graph.nodes for name in node.outputs.values()}:
+        publishers = graph.publishers(name)
+        if len(publishers) > 1 and not topics[name].shared:
+            raise ConfigError(
+                f"{graph.name}: {name!r} may have one publisher;"
+                f" nodes {' and '.join(publishers)} both publish it"
+            )
+
+
+def _check_exposed(graph: Graph) -> None:
+    for node in graph.nodes:
+        for port, address in node.expose.items():
+            where = f"{graph.name}: node {node.name}: expose {port!r}"
+            if port not in node.outputs:
+                raise ConfigError(f"{where}: not an output of the node; {near(port, node.outputs)}")
+            match = re.fullmatch(r"tcp://([^:/\s]+|\[[0-9a-fA-F:]+\]):(\d+)", address)
+            if not match or not 0 < int(match[2]) < 65536:
+                raise ConfigError(f"{where}: {address!r} must be tcp://HOST:PORT, HOST an address or `*`")
+            if graph.security is None:
+                raise ConfigError(
+                    f"{where}: {address} would be open to everybody; give the launch file `security`"
+                    " with secret_key_file and authorized_keys_dir (`footfall keys new` makes keys)"
+                )
+            _check_free(where, match[1].strip("[]"), int(match[2]))
+    if graph.security is not None:
+        for key, path, there in (
+            ("secret_key_file", graph.security.secret_key_file, Path.is_file),
+            ("authorized_keys_dir", graph.security.authorized_keys_dir, Path.is_dir),
+        ):
+            if not there(Path(path)):
+                raise ConfigError(f"{graph.name}: security.{key}: no {path}; `footfall keys new` makes keys")
+
+
+def _check_free(where: str, host: str, port: int) -> None:
+    host = "0.0.0.0" if host == "*" else host  # the test that nobody listens there yet
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise ConfigError(f"{where}: cannot listen on {host}:{port}: {error.strerror}") from None
+
+
+def check_paths(graph: Graph) -> None:
+    """Refuse a run directory so deep that its sockets' paths are too long.
+
+    Raises:
+        ConfigError: it is.
+    """
+    from ..messages.zmq_bus import endpoint
+
+    try:
+        for edge in edges(graph):
+            endpoint(graph.run_dir, edge.topic, edge.publisher, edge.subscriber)
+    except BusError as error:
+        raise ConfigError(f"{graph.name}: {error}") from None

@@ -1,0 +1,144 @@
+"""The `footfall` command: finds the verb, imports only its module, and puts errors in one line."""
+
+import argparse
+import difflib
+import os
+import sys
+from importlib import import_module
+from typing import NoReturn
+
+VERBS: dict[str, tuple[str, str]] = {
+    "launch": ("launch", "start a graph from a launch file or a scene"),
+    "demo": ("demo", "a street corner: launch, record, draw"),
+    "record": ("record", "record a running graph"),
+    "replay": ("replay", "play a log into a graph"),
+    "topic": ("topic", "look at topics: list, info, schema, echo, hz, bw, delay"),
+    "param": ("param", "see and change parameters of running nodes; pause, step, stop"),
+    "graph": ("graph", "draw a graph"),
+    "top": ("top", "watch the nodes of a running graph"),
+    "doctor": ("doctor", "check the installation and look for left-over processes"),
+    "log": ("log", "look at logs: info, plot, film, hash, diff, export, recover"),
+    "regress": ("regress", "replay a node's inputs and compare its outputs with a log"),
+    "import biwi": ("import_biwi", "make scenes of the ETH and UCY recordings"),
+    "data orca": ("data_orca", "synthetic crowds for training"),
+    "train trace": ("train_trace", "train the trajectory diffusion model"),
+    "eval trace": ("eval_trace", "evaluate it"),
+    "bench": ("bench", "measure: bus, fuzz, ..."),
+    "keys": ("keys", "make keys for graphs open to the network"),
+}
+"""By command: the module in tools/ that has `add_parser` and `run`, and one line about it."""
+
+
+class UsageError(ValueError):
+    """The command line is not one we know."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{message}; see `{self.prog} --help`")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command; returns 0, 1 (it failed), 2 (the user's input) or 130 (Ctrl-C)."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    traceback = "--traceback" in arguments
+    if traceback:
+        arguments.remove("--traceback")
+    try:
+        return _run(arguments)
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:  # `footfall topic echo ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except Exception as error:
+        if traceback or not is_users(error):
+            raise
+        print(f"footfall: error: {describe(error)}", file=sys.stderr)
+        return 2
+
+
+def _run(arguments: list[str]) -> int:
+    verb, module_name = find_verb(arguments)
+    parser = _Parser(
+        prog="footfall",
+        description="Physically simulated, controllable pedestrians on a message bus.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="Put --traceback anywhere to see where an error comes from.",
+    )
+    parser.add_argument("--version", action="store_true", help="print the version")
+    if module_name is None:
+        return _general(parser, arguments)
+    module = import_module(f"{__package__}.{module_name}")
+    subparsers = parser.add_subparsers(required=True)
+    group, _, leaf = verb.partition(" ")
+    if leaf:
+        subparsers = subparsers.add_parser(group).add_subparsers(required=True)
+    module.add_parser(subparsers)
+    args = parser.parse_args(arguments)
+    return getattr(args, "run", module.run)(args) or 0
+
+
+def find_verb(arguments: list[str]) -> tuple[str, str | None]:
+    """The command meant, and its module; no module where only general help can be given.
+
+    Raises:
+        UsageError: there is no such command; names the nearest.
+    """
+    if not arguments or arguments[0].startswith("-"):
+        return "", None
+    first, second = arguments[0], arguments[1] if len(arguments) > 1 else ""
+    if first in VERBS:
+        return first, VERBS[first][0]
+    leaves = [verb.partition(" ")[2] for verb in VERBS if verb.startswith(f"{first} ")]
+    if not leaves:
+        raise UsageError(f"no command {first!r}; {_near(first, [verb.split()[0] for verb in VERBS])}")
+    if f"{first} {second}" in VERBS:
+        return f"{first} {second}", VERBS[f"{first} {second}"][0]
+    if not second or second.startswith("-"):
+        return first, None
+    raise UsageError(f"no command '{first} {second}'; {_near(second, leaves)}")
+
+
+def _general(parser: argparse.ArgumentParser, arguments: list[str]) -> int:
+    """Help and version."""
+    if "--version" in arguments:
+        from importlib.metadata import version
+
+        print(f"footfall {version('footfall')}")
+        return 0
+    group = arguments[0] if arguments and not arguments[0].startswith("-") else ""
+    shown = {verb: text for verb, (_, text) in VERBS.items() if not group or verb.startswith(f"{group} ")}
+    width = max(map(len, shown))
+    table = "\n".join(f"  {verb:<{width}}  {text}" for verb, text in shown.items())
+    parser.usage = f"footfall {group or 'COMMAND'} ..."
+    parser.epilog = f"commands:\n{table}\n\n`footfall COMMAND --help` tells more. {parser.epilog}"
+    if group or not arguments:
+        parser.print_help()
+        return 0 if arguments[1:] else 2
+    parser.parse_args(arguments)
+    return 2
+
+
+def _near(name: str, known: list[str]) -> str:
+    match = difflib.get_close_matches(name, known, 1)
+    return f"did you mean {match[0]!r}?" if match else f"known: {', '.join(dict.fromkeys(known))}"
+
+
+def is_users(error: Exception) -> bool:
+    """Whether an error is about the user's input and not a fault of the program."""
+    if isinstance(error, (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)):
+        return error.filename is not None
+    ours = type(error).__module__.partition(".")[0] == "footfall" or type(error).__module__ == __name__
+    return ours and (isinstance(error, (ValueError, FileNotFoundError)) or type(error).__name__ == "BusError")
+
+
+def describe(error: Exception) -> str:
+    """An error in one line."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split())
+
+
+if __name__ == "__main__":
+    sys.exit(main())
