@@ -28,7 +28,6 @@ Actuation = Literal["full", "lite"]
 
 FOOT_FRICTION = 1.0
 _ARMATURE = 0.02  # kg m^2; PACER's humanoid, and it keeps light bodies stable at 120 Hz
-_IDLE_DAMPING = 0.5  # N m s/rad
 _AXES = np.eye(3)
 
 AGENT_BITS = 10
@@ -90,7 +89,9 @@ def add_humanoid(
         prefix: put before every body's and joint's name.
         actuation: which hinges exist.
         mask: contact masks; those of agent 0 when left out.
-        powered: whether to add PD actuators (gains and torque caps scaled by mass / 77 kg).
+        powered: whether to add PD actuators, gains and torque caps scaled by mass / 77 kg. The D part is the
+            joint's damping, which MuJoCo integrates implicitly and which the cap on the P part leaves alone:
+            that keeps 120 Hz stable while an actuator saturates.
     """
     mask = mask or agent_mask(0)
     hinges = actuated_joints(actuation)
@@ -117,7 +118,7 @@ def add_humanoid(
                 range=JOINT_LIMITS[hinge],
                 limited=mujoco.mjtLimited.mjLIMITED_TRUE,
                 armature=_ARMATURE,
-                damping=[gains[hinge, 1] if powered else _IDLE_DAMPING, 0, 0],
+                damping=[gains[hinge, 1], 0, 0],
             )
     _add_solids(parents[1:], body, mask)
     if powered:
