@@ -1,0 +1,121 @@
+"""One file of recorded or simulated crowds: positions, obstacles, distance fields and the split."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .orca_scenes import Crowd, CrowdSpec, map_axis
+
+SPLITS = ("train", "val", "test")
+
+
+class CrowdFileError(ValueError):
+    """A file of crowds is missing, broken or of another format."""
+
+
+@dataclass(frozen=True)
+class Crowds:
+    """Scenes padded to the fullest one.
+
+    Attributes:
+        name: Of the data set.
+        positions: (S, N, T, 2) world x, y [m]; NaN where nobody is.
+        polygons: (S, M, V, 2) convex obstacle outlines [m]; NaN padding.
+        distance: (S, H, W) signed distance to the obstacles [m], float16; (S, 0, 0) without maps.
+        origin: World x, y of the centre of cell (0, 0) [m].
+        resolution: Cell size [m].
+        split: (S,) index into `SPLITS`.
+        dt: Time between frames [s].
+        radius: Disc of a person [m].
+        source: How the file was made.
+    """
+
+    name: str
+    positions: NDArray[np.float32]
+    polygons: NDArray[np.float32]
+    distance: NDArray[np.float16]
+    origin: tuple[float, float]
+    resolution: float
+    split: NDArray[np.uint8]
+    dt: float
+    radius: float
+    source: dict
+
+    @property
+    def has_map(self) -> bool:
+        """Whether the scenes come with obstacles."""
+        return self.distance.size > 0
+
+    def polygons_of(self, scene: int) -> list[NDArray[np.float32]]:
+        """The obstacle outlines of one scene without padding."""
+        kept = [p[~np.isnan(p[:, 0])] for p in self.polygons[scene]]
+        return [p for p in kept if len(p)]
+
+    def save(self, path: Path) -> None:
+        """Write atomically; the folder is made if needed."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        facts = {k: getattr(self, k) for k in ("name", "origin", "resolution", "dt", "radius", "source")}
+        arrays = {k: getattr(self, k) for k in ("positions", "polygons", "distance", "split")}
+        part = path.with_suffix(".part")
+        with part.open("wb") as file:
+            np.savez_compressed(file, facts=np.array(json.dumps(facts)), **arrays)
+        part.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> "Crowds":
+        """Read what `save` wrote.
+
+        Raises:
+            CrowdFileError: When the file is missing or is no file of crowds.
+        """
+        if not path.is_file():
+            raise CrowdFileError(f"there is no crowd file {path}; `footfall data orca` makes one")
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                facts = json.loads(str(file["facts"]))
+                facts["origin"] = tuple(facts["origin"])
+                return cls(**facts, **{k: file[k] for k in ("positions", "polygons", "distance", "split")})
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise CrowdFileError(f"{path} is not a crowd file: {error}") from error
+
+
+def pack_crowds(spec: CrowdSpec, crowds: Sequence[Crowd], seed: int, base: int | None = None) -> Crowds:
+    """Pad finished scenes into one set.
+
+    Args:
+        spec: How they were drawn.
+        crowds: Scene number 0, 1, 2, ...
+        seed: The seed they were drawn with.
+        base: The first `base` scenes are split 0.8 / 0.1 / 0.1, later ones only train; by default all.
+    """
+    count, base = len(crowds), min(base or len(crowds), len(crowds))
+    positions = np.full((count, spec.most_agents, spec.frames, 2), np.nan, np.float32)
+    corners = max((len(p) for c in crowds for p in c.polygons), default=0)
+    polygons = np.full((count, spec.most_obstacles, corners, 2), np.nan, np.float32)
+    axis = map_axis(spec)
+    side = len(axis) if spec.most_obstacles else 0
+    distance = np.zeros((count, side, side), np.float16)
+    for s, crowd in enumerate(crowds):
+        positions[s, : len(crowd.positions)] = crowd.positions
+        distance[s] = np.clip(crowd.distance, -20, 20) if side else 0
+        for m, polygon in enumerate(crowd.polygons):
+            polygons[s, m, : len(polygon)] = polygon
+    split = np.zeros(count, np.uint8)
+    split[round(0.8 * base) : round(0.9 * base)] = SPLITS.index("val")
+    split[round(0.9 * base) : base] = SPLITS.index("test")
+    return Crowds(
+        name=f"orca-{spec.subset}",
+        positions=positions,
+        polygons=polygons,
+        distance=distance,
+        origin=(float(axis[0]), float(axis[0])),
+        resolution=spec.resolution,
+        split=split,
+        dt=1 / spec.rate_hz,
+        radius=spec.radius,
+        source={"seed": seed, **asdict(spec)},
+    )

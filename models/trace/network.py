@@ -1,0 +1,158 @@
+"""The TRACE denoiser: context encoders that run once, and a temporal U-Net that runs at every step."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from .blocks import Mlp, StepEmbedding, TemporalUNet
+from .config import TraceConfig
+from .context import Context
+from .dynamics import rollout
+from .map_encoder import MAP_ENCODERS, MapFeatures
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """Everything that does not change over the denoising steps, for B rows.
+
+    Attributes:
+        condition: (B, context_width) features of the past motion and of the map as a whole.
+        map: What the trajectory is queried against.
+        crowd: (B, N, T, 3) neighbours extrapolated at constant velocity, ego frame, and their presence.
+        state: (B, 4) current state in the ego frame.
+    """
+
+    condition: Tensor
+    map: MapFeatures
+    crowd: Tensor
+    state: Tensor
+
+    def repeat(self, samples: int) -> "Encoding":
+        """Every row `samples` times in a row: the samples of one agent stay together."""
+
+        def many(x: Tensor) -> Tensor:
+            return x.repeat_interleave(samples, 0)
+
+        return Encoding(many(self.condition), self.map.repeat(samples), many(self.crowd), many(self.state))
+
+
+class Trace(nn.Module):
+    """Predicts the clean action trajectory from a noisy one (Rempe et al. 2023, sec. 3.1 and app. A.1).
+
+    Actions are normalised (zero mean, unit variance over the training data); states follow from them
+    through the unicycle. The statistics are buffers and travel with the weights.
+    """
+
+    trajectory_mean: Tensor
+    trajectory_std: Tensor
+    history_mean: Tensor
+    history_std: Tensor
+
+    def __init__(self, config: TraceConfig):
+        super().__init__()
+        self.config = config
+        frames = len(range(0, config.history, config.history_stride))
+        width = config.history_width
+        self.map_encoder = MAP_ENCODERS[config.map_encoder](config.map_layers)
+        self.ego = Mlp(8 * frames, config.history_hidden, width)
+        self.neighbor = Mlp(8 * frames, config.history_hidden, width)
+        joint = 2 * width + self.map_encoder.vector_width
+        self.joint = Mlp(joint, config.context_hidden, config.context_width)
+        self.step = StepEmbedding(config.step_width)
+        inputs = 6 + self.map_encoder.queries + (6 if config.interaction else 0)
+        condition = config.context_width + config.step_width
+        shape = (config.widths, condition, config.kernel, config.activation, config.fold)
+        self.unet = TemporalUNet(inputs, 2, *shape)
+        for name, size in (
+            ("trajectory", 6),
+            ("history", 8),
+        ):  # trajectory: x y heading speed acceleration yaw rate
+            self.register_buffer(f"{name}_mean", torch.zeros(size))
+            self.register_buffer(f"{name}_std", torch.ones(size))
+
+    def encode(self, context: Context) -> Encoding:
+        """Run the context encoders: once per plan."""
+        start = (self.config.history - 1) % self.config.history_stride  # so that the current frame is in
+        ego = self._normalize_history(context.ego[:, start :: self.config.history_stride])
+        neighbors = self._normalize_history(context.neighbors[:, :, start :: self.config.history_stride])
+        map_features = self.map_encoder.encode(context)
+        joint = [self.ego(ego.flatten(1)), self._interaction(neighbors), map_features.vector]
+        condition = self.joint(torch.cat(joint, -1))
+        return Encoding(condition, map_features, self._extrapolate(context), context.initial_state())
+
+    def forward(self, noisy: Tensor, k: Tensor, encoding: Encoding) -> Tensor:
+        """Clean actions predicted from noisy ones.
+
+        Args:
+            noisy: (B, horizon, 2) normalised actions at diffusion step k.
+            k: (B,) step indices, 0 is the least noisy.
+            encoding: B rows.
+
+        Returns:
+            (B, horizon, 2) normalised clean actions.
+        """
+        trajectory = self.unroll(noisy, encoding.state)  # (B, T, 6) metres, in the ego frame
+        with torch.no_grad():
+            positions = trajectory[..., :2].detach()
+            queries = [self.map_encoder.query(encoding.map, positions)]
+            if self.config.interaction:
+                queries.append(crowd_field(positions, encoding.crowd))
+        normal = (trajectory - self.trajectory_mean) / self.trajectory_std
+        if encoding.map.grid is not None:  # a learned grid is trained through its queries
+            queries[0] = self.map_encoder.query(encoding.map, positions)
+        condition = torch.cat([encoding.condition, self.step(k)], -1)
+        return self.unet(torch.cat([normal, *queries], -1), condition)
+
+    def unroll(self, actions: Tensor, state: Tensor) -> Tensor:
+        """States and actions, in SI units and the ego frame, of normalised actions.
+
+        Args:
+            actions: (B, T, 2) normalised.
+            state: (B, 4) current state in the ego frame.
+
+        Returns:
+            (B, T, 6) [x y heading speed acceleration yaw rate].
+        """
+        actions = actions * self.trajectory_std[4:] + self.trajectory_mean[4:]
+        return torch.cat([rollout(state, actions, self.config.dt), actions], -1)
+
+    def _normalize_history(self, frames: Tensor) -> Tensor:
+        return (frames - self.history_mean) / self.history_std * frames[..., 7:]
+
+    def _interaction(self, neighbors: Tensor) -> Tensor:
+        """(B, N, F, 8) to the max-pooled feature (B, width); zero without neighbours."""
+        count = neighbors.shape[1]
+        if count == 0:
+            return neighbors.new_zeros(len(neighbors), self.config.history_width)
+        present = neighbors[:, :, -1, 7] > 0
+        features = self.neighbor(neighbors.flatten(2))
+        features = features.masked_fill(~present[..., None], -torch.inf).max(1).values
+        return torch.where(present.any(1, keepdim=True), features, torch.zeros((), dtype=features.dtype))
+
+    def _extrapolate(self, context: Context) -> Tensor:
+        now = context.neighbors[:, :, -1]  # (B, N, 8)
+        time = torch.arange(1, self.config.horizon + 1) * self.config.dt
+        velocity = now[..., 4:5] * now[..., 2:4]
+        path = now[..., None, :2] + velocity[..., None, :] * time[:, None]
+        return torch.cat([path, now[..., None, 7:].expand(*path.shape[:-1], 1)], -1)
+
+
+def crowd_field(positions: Tensor, crowd: Tensor, scales: tuple[float, float] = (0.5, 1.5)) -> Tensor:
+    """Gaussian-weighted sums over neighbours, at each trajectory point and time: amount, and mean direction.
+
+    Args:
+        positions: (B, T, 2) [m].
+        crowd: (B, N, T, 3) positions at the same times and presence.
+        scales: Standard deviations of the two weightings [m].
+
+    Returns:
+        (B, T, 6): for each scale the summed weight and the weighted sum of relative positions.
+    """
+    relative = crowd[..., :2] - positions[:, None]
+    square = relative.square().sum(-1)
+    fields = []
+    for scale in scales:
+        weight = torch.exp(square * (-0.5 / scale**2)) * crowd[..., 2]  # (B, N, T)
+        fields += [weight.sum(1)[..., None], (weight[..., None] * relative).sum(1) / scale]
+    return torch.cat(fields, -1)

@@ -1,0 +1,138 @@
+"""Semantic maps of many scenes as one stack of signed distance fields, sampled at any point and scale."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from scipy.ndimage import distance_transform_edt
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class SceneMaps:
+    """Signed distance [m] to each semantic layer, negative inside; beyond the grid its border value holds.
+
+    A distance field is free of resolution: a raster crop at any scale is its sign, and its gradient points
+    away from the layer.
+
+    Attributes:
+        distance: (S, C, H, W) one field per scene and layer; row index grows with y, column index with x.
+        origin: (S, 2) world x, y of the centre of cell (0, 0) [m].
+        resolution: Cell size [m].
+        layers: Names of the C layers.
+    """
+
+    distance: Tensor
+    origin: Tensor
+    resolution: float
+    layers: tuple[str, ...] = ("obstacle",)
+
+    def __post_init__(self):
+        if self.distance.ndim != 4 or self.distance.shape[1] != len(self.layers):
+            raise ValueError(
+                f"SceneMaps: distance must be (scenes, {len(self.layers)} layers, rows, columns), "
+                f"not {tuple(self.distance.shape)}"
+            )
+
+    @classmethod
+    def from_raster(
+        cls, layers: dict[str, np.ndarray], resolution: float, origin: Sequence[float] = (0.0, 0.0)
+    ) -> "SceneMaps":
+        """The map of one scene from boolean layers.
+
+        Args:
+            layers: Name to (H, W) bool, true where the property holds; row index grows with y.
+            resolution: Cell size [m].
+            origin: World x, y of the centre of cell (0, 0) [m].
+        """
+        fields = [signed_distance(np.asarray(mask, bool), resolution) for mask in layers.values()]
+        distance = torch.from_numpy(np.stack(fields))[None]
+        return cls(distance, torch.tensor([list(origin)], dtype=torch.float32), resolution, tuple(layers))
+
+    def layer(self, name: str) -> "SceneMaps":
+        """The same scenes with one layer only.
+
+        Raises:
+            ValueError: When no layer has this name.
+        """
+        return self.select((name,))
+
+    def select(self, names: Sequence[str]) -> "SceneMaps":
+        """These layers in this order; `walkable` is what is no obstacle if it was not given.
+
+        Raises:
+            ValueError: When a layer is neither present nor implied.
+        """
+        if tuple(names) == self.layers:
+            return self
+        fields = []
+        for name in names:
+            if name in self.layers:
+                fields.append(self.distance[:, self.layers.index(name)])
+            elif name == "walkable" and "obstacle" in self.layers:
+                fields.append(-self.distance[:, self.layers.index("obstacle")])
+            else:
+                raise ValueError(f"the map has no layer {name!r}; its layers are {', '.join(self.layers)}")
+        return SceneMaps(torch.stack(fields, 1), self.origin, self.resolution, tuple(names))
+
+    def sample(self, points: Tensor, scene: Tensor) -> Tensor:
+        """Signed distances at world points, bilinear, differentiable in the points.
+
+        Args:
+            points: (B, P, 2) world x, y [m].
+            scene: (B,) index of the scene of each row.
+
+        Returns:
+            (B, P, C) signed distances [m].
+        """
+        scenes, channels, rows, columns = self.distance.shape
+        cell = (points - self.origin[scene][:, None]) / self.resolution
+        x = cell[..., 0].clamp(0, columns - 1)
+        y = cell[..., 1].clamp(0, rows - 1) + (scene * rows)[:, None]
+        # All scenes are stacked into one tall picture, so that one call serves every agent of every scene.
+        tall = self.distance.transpose(0, 1).reshape(1, channels, scenes * rows, columns)
+        scale = torch.tensor([max(columns - 1, 1), max(scenes * rows - 1, 1)], dtype=points.dtype)
+        grid = 2 * torch.stack([x, y], -1) / scale - 1
+        values = F.grid_sample(tall, grid[None], mode="bilinear", padding_mode="border", align_corners=True)
+        return values[0].permute(1, 2, 0)
+
+
+def signed_distance(mask: np.ndarray, resolution: float) -> np.ndarray:
+    """Distance [m] of every cell centre to the border of a (H, W) bool mask, negative inside, float32.
+
+    The border runs half-way between neighbouring cell centres; a uniform mask is `far` from its border
+    everywhere.
+    """
+    far = np.float32(resolution * np.hypot(*mask.shape))
+    if not mask.any():
+        return np.full(mask.shape, far, np.float32)
+    if mask.all():
+        return np.full(mask.shape, -far, np.float32)
+    outside = np.asarray(distance_transform_edt(~mask))
+    inside = np.asarray(distance_transform_edt(mask))
+    return (resolution * np.where(mask, 0.5 - inside, outside - 0.5)).astype(np.float32)
+
+
+def polygon_distance(points: np.ndarray, polygons: Sequence[np.ndarray]) -> np.ndarray:
+    """Signed distance [m] of points (P, 2) to a union of convex polygons, each (V, 2), negative inside.
+
+    Exact outside; inside overlapping polygons it is the depth in the deepest one. Without polygons it is 1e3.
+    """
+    nearest = np.full(len(points), 1e3, np.float32)
+    for polygon in polygons:
+        start = np.asarray(polygon, np.float32)
+        edge = np.roll(start, -1, 0) - start
+        winding = np.sign(
+            (start[:, 0] * np.roll(start, -1, 0)[:, 1] - start[:, 1] * np.roll(start, -1, 0)[:, 0]).sum()
+        )
+        square = np.full(len(points), np.inf, np.float32)
+        inside = np.ones(len(points), bool)
+        for (ax, ay), (ex, ey) in zip(start, edge, strict=True):
+            px, py = points[:, 0] - ax, points[:, 1] - ay
+            t = np.clip((px * ex + py * ey) / max(ex * ex + ey * ey, 1e-12), 0, 1)
+            square = np.minimum(square, (px - t * ex) ** 2 + (py - t * ey) ** 2)
+            inside &= (ex * py - ey * px) * winding >= 0
+        nearest = np.minimum(nearest, np.where(inside, -1, 1) * np.sqrt(square))
+    return nearest.astype(np.float32)

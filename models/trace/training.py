@@ -1,0 +1,91 @@
+"""The training objective of TRACE, the input statistics, and the moving average of the weights."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from .context import Context
+from .diffusion import CosineSchedule
+from .network import Trace
+from .windows import CrowdWindows
+
+
+def denoising_loss(
+    model: nn.Module,
+    trace: Trace,
+    schedule: CosineSchedule,
+    context: Context,
+    actions: Tensor,
+    generator: torch.Generator,
+    drop: float = 0.1,
+) -> Tensor:
+    """Mean squared error of the predicted clean states and actions, normalised (TRACE eq 3, app. A.1.1).
+
+    Args:
+        model: `trace`, or a data-parallel wrapper of `DenoisingStep(trace)`.
+        trace: Holds the statistics and the dynamics.
+        schedule: Noise schedule.
+        context: B samples.
+        actions: (B, horizon, 2) true actions, SI units.
+        generator: Draws steps, noise and drop-outs.
+        drop: Probability with which the map, and independently the neighbours, are dropped.
+    """
+    count = len(actions)
+    lost = torch.rand(2, count, generator=generator) < drop
+    context = context.drop(maps=lost[0], neighbors=lost[1])
+    clean = (actions - trace.trajectory_mean[4:]) / trace.trajectory_std[4:]
+    k = torch.randint(len(schedule), (count,), generator=generator)
+    noise = torch.randn(clean.shape, generator=generator)
+    predicted = model(schedule.add_noise(clean, noise, k), k, context)
+    state = context.initial_state()
+    error = (trace.unroll(predicted.float(), state) - trace.unroll(clean, state)) / trace.trajectory_std
+    return error.square().mean()
+
+
+class DenoisingStep(nn.Module):
+    """Context encoders and one denoising step in a single call, as data-parallel training wants it."""
+
+    def __init__(self, trace: Trace):
+        super().__init__()
+        self.trace = trace
+
+    def forward(self, noisy: Tensor, k: Tensor, context: Context) -> Tensor:
+        """Predicted clean actions, see `Trace.forward`."""
+        return self.trace(noisy, k, self.trace.encode(context))
+
+
+@torch.no_grad()
+def fit_statistics(
+    trace: Trace, sets: Sequence[CrowdWindows], generator: torch.Generator, windows: int = 8192
+) -> None:
+    """Set the model's means and deviations from random windows of the sets, all sets weighted alike."""
+    trajectories, histories = [], []
+    for data in sets:
+        rows = torch.randint(len(data), (windows // len(sets),), generator=generator)
+        context, actions = data.batch(rows)
+        trace.trajectory_mean.zero_()
+        trace.trajectory_std.fill_(1.0)
+        trajectories.append(trace.unroll(actions, context.initial_state()).reshape(-1, 6))
+        frames = torch.cat([context.ego[:, None], context.neighbors], 1).reshape(-1, 8)
+        histories.append(frames[frames[:, 7] > 0])
+    for name, rows in (("trajectory", trajectories), ("history", histories)):
+        values = torch.cat(rows)
+        deviation = values.std(0)
+        getattr(trace, f"{name}_mean").copy_(values.mean(0))
+        getattr(trace, f"{name}_std").copy_(torch.where(deviation > 1e-3, deviation, torch.ones(())))
+
+
+class MovingAverage:
+    """Exponential moving average of a model's parameters; its memory grows from nothing to `decay`."""
+
+    def __init__(self, model: nn.Module, decay: float = 0.999):
+        self.decay = decay
+        self.parameters = {name: p.detach().clone() for name, p in model.named_parameters()}
+
+    @torch.no_grad()
+    def update(self, model: nn.Module, step: int) -> None:
+        """Move towards the model after optimiser step number `step`."""
+        weight = 1 - min(self.decay, (1 + step) / (10 + step))
+        for ours, theirs in zip(self.parameters.values(), model.parameters(), strict=True):
+            ours.lerp_(theirs.detach(), weight)

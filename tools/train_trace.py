@@ -1,0 +1,297 @@
+"""`footfall train trace`: train the trajectory diffusion model, on one process or several.
+
+    footfall train trace --config compact --data data/orca/maps.npz data/orca/interact.npz
+    torchrun --nproc-per-node 2 -m footfall.tools.train_trace trace --config compact ...
+
+Run it again with the same `--out` to go on where it stopped. The learning rate warms up, stays, and falls
+linearly to zero over the last part of `--steps`: raising `--steps` before that part begins prolongs a run
+without a seam.
+"""
+
+import argparse
+import csv
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import torch.distributed as dist
+from torch import nn
+
+from ..models.trace.config import CONFIGS
+from ..models.trace.crowd_file import Crowds
+from ..models.trace.diffusion import CosineSchedule
+from ..models.trace.network import Trace
+from ..models.trace.training import DenoisingStep, MovingAverage, denoising_loss, fit_statistics
+from ..models.trace.weights import load_tensors, save_model, save_tensors
+from ..models.trace.windows import CrowdWindows
+from .train_curve import draw_curve
+
+
+def add_parser(subparsers) -> None:
+    """Add `train trace` to the command line."""
+    parser = subparsers.add_parser("trace", help="the trajectory diffusion model")
+    parser.add_argument("--config", choices=sorted(CONFIGS), default="compact")
+    folder = Path("data/orca")
+    parser.add_argument(
+        "--data", type=Path, nargs="+", default=[folder / "maps.npz", folder / "interact.npz"]
+    )
+    parser.add_argument("--out", type=Path, default=None, help="folder (default runs/trace_CONFIG)")
+    parser.add_argument("--steps", type=int, default=40000, help="optimiser steps (default %(default)s)")
+    parser.add_argument(
+        "--batch", type=int, default=400, help="windows per step and process (default %(default)s)"
+    )
+    parser.add_argument("--rate", type=float, default=2e-4, help="learning rate (default %(default)s)")
+    parser.add_argument(
+        "--decay", type=float, default=0.25, help="last part of the steps, with a falling rate"
+    )
+    parser.add_argument(
+        "--drop", type=float, default=0.1, help="probability of dropping the map or the neighbours"
+    )
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=None, help="of each process (default: torch decides)")
+    parser.add_argument("--full-precision", action="store_true", help="no bfloat16")
+    parser.add_argument("--check-every", type=int, default=500, help="steps between validations")
+    parser.add_argument("--save-minutes", type=float, default=3.0)
+    parser.set_defaults(run=run)
+
+
+@dataclass
+class Progress:
+    """What a run has behind it."""
+
+    step: int = 0
+    minutes: float = 0.0
+
+
+class TrainingRun:
+    """One training run: model, optimiser, moving average, and their files.
+
+    Args:
+        args: The command line.
+        rank: Number of this process.
+        world: Number of processes.
+    """
+
+    def __init__(self, args: argparse.Namespace, rank: int, world: int):
+        self.args, self.rank, self.world = args, rank, world
+        self.folder: Path = args.out or Path("runs") / f"trace_{args.config}"
+        config = CONFIGS[args.config]
+        torch.manual_seed(args.seed)
+        self.trace = Trace(config)
+        sets = [Crowds.load(path) for path in args.data]
+        self.sources = [{"name": s.name, "scenes": int((s.split == 0).sum()), **s.source} for s in sets]
+        self.train = [CrowdWindows(s, "train", config, mirror=True) for s in sets]
+        self.val = [CrowdWindows(s, "val", config, stride=4) for s in sets]
+        fit_statistics(self.trace, self.train, torch.Generator().manual_seed(args.seed))
+        self.schedule = CosineSchedule(config.diffusion_steps)
+        self.optimizer = torch.optim.AdamW(
+            self.trace.parameters(), lr=args.rate, weight_decay=1e-4, fused=True
+        )
+        self.average = MovingAverage(self.trace)
+        self.progress = Progress()
+        self.losses: list[float] = []
+        if (self.folder / "state.safetensors").is_file():
+            self.resume()
+        step = DenoisingStep(self.trace)
+        self.model: nn.Module = nn.parallel.DistributedDataParallel(step) if world > 1 else step
+
+    def rate(self) -> float:
+        """Learning rate of the next step."""
+        left = (self.args.steps - self.progress.step) / max(self.args.decay * self.args.steps, 1)
+        return self.args.rate * min((self.progress.step + 1) / 500, left, 1.0)
+
+    def autocast(self):
+        """bfloat16 for matrix products, unless told otherwise."""
+        return nullcontext() if self.args.full_precision else torch.autocast("cpu", torch.bfloat16)
+
+    def step(self) -> float:
+        """One optimiser step on a batch of one of the sets; draws depend on seed, step and rank only."""
+        number = self.progress.step * self.world + self.rank
+        generator = torch.Generator().manual_seed(self.args.seed * 10**9 + number)
+        data = self.train[int(torch.randint(len(self.train), (1,), generator=generator))]
+        rows = torch.randint(len(data), (self.args.batch,), generator=generator)
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.rate()
+        with self.autocast():
+            context, actions = data.batch(rows)
+            loss = denoising_loss(
+                self.model, self.trace, self.schedule, context, actions, generator, drop=self.args.drop
+            )
+        self.optimizer.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.trace.parameters(), 1.0)
+        self.optimizer.step()
+        self.average.update(self.trace, self.progress.step)
+        self.progress.step += 1
+        return float(loss.detach())
+
+    @torch.no_grad()
+    def validate(self, windows: int = 512) -> list[float]:
+        """Loss of the averaged weights on fixed windows, noise and steps of each validation set."""
+        losses = []
+        with self.averaged():
+            for data in self.val:
+                generator = torch.Generator().manual_seed(1)
+                context, actions = data.batch(torch.randint(len(data), (windows,), generator=generator))
+                step = DenoisingStep(self.trace)
+                losses.append(
+                    float(
+                        denoising_loss(step, self.trace, self.schedule, context, actions, generator, drop=0.0)
+                    )
+                )
+        return losses
+
+    @contextmanager
+    def averaged(self) -> Iterator[None]:
+        """The model holds the averaged weights inside."""
+        own = {name: p.detach().clone() for name, p in self.trace.named_parameters()}
+        self.trace.load_state_dict(self.average.parameters, strict=False)
+        self.trace.eval()
+        yield
+        self.trace.load_state_dict(own, strict=False)
+        self.trace.train()
+
+    def facts(self) -> dict:
+        """What the weights say about their making."""
+        args = self.args
+        return {
+            "step": self.progress.step,
+            "minutes": round(self.progress.minutes, 2),
+            "samples": self.progress.step * args.batch * self.world,
+            "seed": args.seed,
+            "rate": args.rate,
+            "batch": args.batch * self.world,
+            "drop": args.drop,
+            "data": self.sources,
+        }
+
+    def save(self) -> None:
+        """Write `model.safetensors` (averaged weights) and `state.safetensors` (all that resuming needs)."""
+        if self.rank:
+            return
+        tensors = {f"model.{k}": v for k, v in self.trace.state_dict().items()}
+        tensors |= {f"average.{k}": v for k, v in self.average.parameters.items()}
+        for name, parameter in self.trace.named_parameters():
+            for kind, value in self.optimizer.state[parameter].items():
+                tensors[f"adam.{kind}.{name}"] = value
+        save_tensors(
+            self.folder / "state.safetensors", tensors, {"progress": vars(self.progress), **self.facts()}
+        )
+        with self.averaged():
+            save_model(self.folder / "model.safetensors", self.trace, self.facts())
+
+    def resume(self) -> None:
+        """Go on from `state.safetensors`."""
+        tensors, facts = load_tensors(self.folder / "state.safetensors")
+        parts: dict[str, dict] = {"model": {}, "average": {}, "adam": {}}
+        for key, value in tensors.items():
+            part, name = key.split(".", 1)
+            parts[part][name] = value
+        self.trace.load_state_dict(parts["model"])
+        self.average.parameters = {name: parts["average"][name] for name in self.average.parameters}
+        for name, parameter in self.trace.named_parameters():
+            kinds = ("step", "exp_avg", "exp_avg_sq")
+            self.optimizer.state[parameter] = {kind: parts["adam"][f"{kind}.{name}"] for kind in kinds}
+        self.progress = Progress(**facts["progress"])
+
+    def log(self, losses: list[float]) -> None:
+        """Append to `curve.csv`, redraw `curve.png`, and print a line with the time that is left."""
+        mean = sum(self.losses) / len(self.losses)
+        self.losses.clear()
+        names = [data.name for data in self.val]
+        path = self.folder / "curve.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        new = not path.is_file()
+        with path.open("a", newline="") as file:
+            writer = csv.writer(file)
+            if new:
+                writer.writerow(["step", "minutes", "rate", "train", *names])
+            figures = [f"{v:.5f}" for v in (mean, *losses)]
+            writer.writerow(
+                [self.progress.step, f"{self.progress.minutes:.2f}", f"{self.rate():.2e}", *figures]
+            )
+        draw_curve(path)
+        left = self.progress.minutes / self.progress.step * (self.args.steps - self.progress.step)
+        shown = "  ".join(f"{n} {v:.4f}" for n, v in zip(names, losses, strict=True))
+        print(
+            f"step {self.progress.step}/{self.args.steps}  train {mean:.4f}  {shown}  {left:.0f} min left",
+            flush=True,
+        )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train until `--steps` or Ctrl-C; both leave a checkpoint."""
+    try:
+        if args.steps < 1 or args.batch < 1 or not args.rate > 0:
+            raise ValueError("--steps and --batch must be at least 1 and --rate above 0")
+        rank, world = 0, 1
+        if dist.is_torchelastic_launched():
+            dist.init_process_group("gloo")
+            rank, world = dist.get_rank(), dist.get_world_size()
+        if args.threads:
+            torch.set_num_threads(args.threads)
+        training = TrainingRun(args, rank, world)
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    stop = []
+    previous = {
+        s: signal.signal(s, lambda number, _: stop.append(number)) for s in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        train(training, stop)
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+        if world > 1:
+            dist.destroy_process_group()
+    return 0
+
+
+def train(training: TrainingRun, stop: list[int]) -> None:
+    """The loop: step, sometimes validate, sometimes save."""
+    args, progress = training.args, training.progress
+    begun = saved = time.monotonic()
+    before = progress.minutes
+    training.trace.train()
+    while progress.step < args.steps and not agreed(bool(stop), training.world):
+        training.losses.append(training.step())
+        progress.minutes = before + (time.monotonic() - begun) / 60
+        if progress.step % args.check_every == 0 or progress.step == args.steps:
+            losses = training.validate()
+            if not training.rank:
+                training.log(losses)
+        if time.monotonic() - saved > 60 * args.save_minutes:
+            training.save()
+            saved = time.monotonic()
+    training.save()
+    if not training.rank:
+        print(
+            f"stopped at step {progress.step}; weights in {training.folder / 'model.safetensors'}", flush=True
+        )
+
+
+def agreed(stop: bool, world: int) -> bool:
+    """Whether any process was asked to stop: all must leave the loop at the same step."""
+    if world == 1:
+        return stop
+    vote = torch.tensor(float(stop))
+    dist.all_reduce(vote)
+    return bool(vote > 0)
+
+
+def main() -> int:
+    """Run without the front end."""
+    parser = argparse.ArgumentParser(prog="footfall train")
+    add_parser(parser.add_subparsers(required=True))
+    args = parser.parse_args()
+    return args.run(args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
