@@ -22,7 +22,10 @@ def dot(a: Array, b: Array) -> Array:
 
 def perpendicular(a: Array) -> Array:
     """Rotate by 90 degrees counter-clockwise over a last axis of 2."""
-    return np.stack((-a[..., 1], a[..., 0]), axis=-1)
+    turned = np.empty_like(a)
+    np.negative(a[..., 1], out=turned[..., 0])
+    turned[..., 1] = a[..., 0]
+    return turned
 
 
 def closest_point(
@@ -136,11 +139,10 @@ def _on_line(
     earlier = np.arange(offset.shape[1]) < index[:, None]
     crossing = np.abs(slope) > PARALLEL
     t = bound / np.where(crossing, slope, 1.0)
-    crossing &= earlier
-    low = np.maximum(-reach, np.where(crossing & (slope > 0), t, -np.inf).max(axis=1))
-    high = np.minimum(reach, np.where(crossing & (slope < 0), t, np.inf).min(axis=1))
-    blocked = (earlier & ~crossing & (bound > TOLERANCE)).any(axis=1)
-    solved = (h <= max_speed) & (low <= high) & ~blocked
+    low = np.maximum(-reach, np.where(earlier & (slope > PARALLEL), t, -np.inf).max(axis=1))
+    high = np.minimum(reach, np.where(earlier & (slope < -PARALLEL), t, np.inf).min(axis=1))
+    blocked = earlier & ~crossing & (bound > TOLERANCE)
+    solved = (h <= max_speed) & (low <= high) & ~blocked.any(axis=1)
     best = dot(along, goal)
     if linear:
         best = np.copysign(np.inf, best)

@@ -59,9 +59,9 @@ class OrcaParams:
         values = {}
         for field in fields(self):
             value = np.asarray(getattr(self, field.name), dtype=np.float64)
-            if not (np.isfinite(value).all() and (value >= 0).all()):
+            if value.size and not 0 <= value.min() <= value.max() < np.inf:
                 raise OrcaError(f"{field.name} must be finite and not negative")
-            if field.name.startswith(("radius", "time")) and not (value > 0).all():
+            if field.name.startswith(("radius", "time")) and not value.all():
                 raise OrcaError(f"{field.name} must be above zero")
             try:
                 values[field.name] = np.broadcast_to(value, shape)
