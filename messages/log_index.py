@@ -110,8 +110,12 @@ class LogIndex:
             raise LogError(f"{self.path}: channel {record.topic}: its metadata lacks {error}") from None
 
 
-def read_index(path: str | Path) -> LogIndex:
+def read_index(path: str | Path, walk: bool = False) -> LogIndex:
     """Index a log; an unfinished one is walked to its last complete chunk.
+
+    Args:
+        path: The log.
+        walk: Walk it even if it is finished, leaving out damaged chunks.
 
     Raises:
         LogError: missing, empty, not an MCAP file, or not a log of ours.
@@ -121,7 +125,7 @@ def read_index(path: str | Path) -> LogIndex:
         with path.open("rb") as file:
             index = LogIndex(path, file.seek(0, 2))
             _check_head(index, file)
-            return _read_summary(index, file) or _walk(index, file)
+            return (None if walk else _read_summary(index, file)) or _walk(index, file)
     except FileNotFoundError:
         raise LogError(f"{path}: no such log") from None
     except OSError as error:

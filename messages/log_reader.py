@@ -78,17 +78,18 @@ class LogReader:
     Args:
         path: The log.
         topics: Topics whose types are known, built-in and custom.
+        salvage: Read whatever can be read, leaving out damaged chunks.
 
     Raises:
         LogError: missing, empty, not an MCAP file, or not a log of ours.
     """
 
-    def __init__(self, path: str | Path, topics: Mapping[str, Topic] = TOPICS) -> None:
-        self.index: LogIndex = read_index(path)
+    def __init__(self, path: str | Path, topics: Mapping[str, Topic] = TOPICS, salvage: bool = False) -> None:
+        self.index: LogIndex = read_index(path, walk=salvage)
         self.path = self.index.path
         self._known = topics
         self._decoders: dict[int, Any] = {}
-        if not self.index.complete:
+        if not self.index.complete and not salvage:
             log.warning("%s was not finished by its recorder; its complete chunks are used", self.path)
 
     @property

@@ -8,9 +8,10 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import zstandard
@@ -48,6 +49,7 @@ from .log_format import (
     VERSIONS,
     LogError,
 )
+from .log_reader import Logged
 from .schema import json_schema, schema_hash
 from .topics import Topic
 
@@ -78,6 +80,14 @@ class _OpenChunk:
     start_ns: int = 1 << 64
     end_ns: int = 0
     index: dict[int, list[tuple[int, int]]] = field(default_factory=lambda: defaultdict(list))
+
+
+class SchemaFacts(NamedTuple):
+    """What makes two schemas one."""
+
+    name: str
+    hash: str
+    text: bytes
 
 
 class LogWriter:
@@ -123,7 +133,7 @@ class LogWriter:
         self._chunk = _OpenChunk()
         self._flushed_at = monotonic()
         self._descriptions: list[McapRecord] = []
-        self._schemas: dict[type[msgspec.Struct], Schema] = {}
+        self._schemas: dict[SchemaFacts, Schema] = {}
         self._channels: dict[tuple[str, str, int], Channel] = {}
         self._chunks: list[ChunkIndex] = []
         self._counts: list[dict[int, int]] = []
@@ -180,8 +190,30 @@ class LogWriter:
             raise LogError(f"{self.path}: {topic.name}@{publisher}: time {min(stamp_ns, sent_ns)} ns < 0")
         if self._chunk.size >= self._chunk_bytes:
             self.flush()
-        life = sequence >> LIFE_BITS
-        channel = self._channels.get((topic.name, publisher, life)) or self._describe(topic, publisher, life)
+        key = (topic.name, publisher, sequence >> LIFE_BITS)
+        channel = self._channels.get(key) or self._describe(
+            key,
+            SchemaFacts(topic.type.__name__, schema_hash(topic.type).hex(), _schema_text(topic.type)),
+            topic.latched,
+            topic.deterministic,
+        )
+        self._add(channel, sequence, stamp_ns, sent_ns, record)
+
+    def copy(self, item: Logged[Any]) -> None:
+        """Add a message of another log as it is, whatever its type.
+
+        Raises:
+            DiskFullError: see `write`.
+        """
+        if self._chunk.size >= self._chunk_bytes:
+            self.flush()
+        of = item.channel
+        key = (of.topic, of.publisher, of.life)
+        facts = SchemaFacts(of.type_name, of.schema, _canonical_json(of.json_schema))
+        channel = self._channels.get(key) or self._describe(key, facts, of.latched, of.deterministic)
+        self._add(channel, item.sequence, item.stamp_ns, item.sent_ns, item.record)
+
+    def _add(self, channel: Channel, sequence: int, stamp_ns: int, sent_ns: int, record: bytes) -> None:
         chunk = self._chunk
         chunk.index[channel.id].append((stamp_ns, chunk.size))
         length = 22 + len(record)
@@ -201,24 +233,26 @@ class LogWriter:
         codec = self._codecs.setdefault(topic.name, Codec(topic.name, topic.type))
         self.write(topic, publisher, sequence, stamp_ns, sent_ns, codec.encode_inline(message))
 
-    def _describe(self, topic: Topic, publisher: str, life: int) -> Channel:
+    def _describe(
+        self, key: tuple[str, str, int], facts: "SchemaFacts", latched: bool, deterministic: bool
+    ) -> Channel:
         """Add a channel, and its schema if that is new."""
-        schema = self._schemas.get(topic.type)
+        schema = self._schemas.get(facts)
         if schema is None:
-            data = msgspec.json.encode(json_schema(topic.type), order="deterministic")
-            schema = Schema(len(self._schemas) + 1, data, SCHEMA_ENCODING, topic.type.__name__)
-            self._schemas[topic.type] = schema
+            schema = Schema(len(self._schemas) + 1, facts.text, SCHEMA_ENCODING, facts.name)
+            self._schemas[facts] = schema
             self._descriptions.append(schema)
-        facts = {
-            "topic": topic.name,
+        topic, publisher, life = key
+        metadata = {
+            "topic": topic,
             "publisher": publisher,
             "life": str(life),
-            "schema": schema_hash(topic.type).hex(),
-            "latched": str(topic.latched).lower(),
-            "deterministic": str(topic.deterministic).lower(),
+            "schema": facts.hash,
+            "latched": str(latched).lower(),
+            "deterministic": str(deterministic).lower(),
         }
-        channel = Channel(len(self._channels) + 1, topic.name, MESSAGE_ENCODING, facts, schema.id)
-        self._channels[topic.name, publisher, life] = channel
+        channel = Channel(len(self._channels) + 1, topic, MESSAGE_ENCODING, metadata, schema.id)
+        self._channels[key] = channel
         self._descriptions.append(channel)
         return channel
 
@@ -374,6 +408,15 @@ class LogWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+@cache
+def _schema_text(message_type: type[msgspec.Struct]) -> bytes:
+    return _canonical_json(json_schema(message_type))
+
+
+def _canonical_json(value: Any) -> bytes:
+    return msgspec.json.encode(value, order="deterministic")
 
 
 def _bytes(*records: McapRecord) -> bytes:
