@@ -23,6 +23,15 @@ class Camera:
     """0 looks along +x, 90 along +y."""
     elevation_deg: float
     """-90 looks straight down."""
+    before_walls: bool = False
+    """Come nearer where an obstacle or the ground would stand between camera and target."""
+
+    @property
+    def forward(self) -> tuple[float, float, float]:
+        """Unit viewing direction, world."""
+        azimuth, elevation = np.radians([self.azimuth_deg, self.elevation_deg])
+        level = np.cos(elevation)
+        return float(level * np.cos(azimuth)), float(level * np.sin(azimuth)), float(np.sin(elevation))
 
     @classmethod
     def top(cls, centre: ArrayLike, height: float) -> Camera:
@@ -43,7 +52,7 @@ class Camera:
         x, y, z, *quaternion = np.asarray(pose, dtype=float).reshape(-1, 7)[0]
         forward = matrix_from_quaternion(quaternion)[:, 0]
         heading = np.degrees(np.arctan2(forward[1], forward[0]))
-        return cls((float(x), float(y), float(z)), distance, float(heading + side_deg), -12.0)
+        return cls((float(x), float(y), float(z)), distance, float(heading + side_deg), -12.0, True)
 
     @classmethod
     def street(cls, target: ArrayLike, distance: float = 12.0, azimuth_deg: float = 60.0) -> Camera:

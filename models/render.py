@@ -27,6 +27,8 @@ __all__ = ["Camera", "CrowdRenderer", "GroundPicture", "RenderError", "find_gl_b
 
 _AWAY = (0.0, 0.0, -50.0)  # m; where people who are not drawn wait
 _MAX_GEOMS = 40_000
+_PEOPLE_GROUP = 1
+_STAGE_ONLY = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)  # geom groups
 _SUN = np.array([-0.45, -0.35, -1.0])  # direction of its light
 
 
@@ -137,6 +139,20 @@ class CrowdRenderer:
         mujoco.mjr_readPixels(pixels, None, frame, self._context)
         return pixels[::-1]
 
+    def _free_distance(self, camera: Camera) -> float:
+        """Distance at which nothing of the stage stands between the target and the camera."""
+        hit = mujoco.mj_ray(
+            self.model,
+            self.data,
+            np.array(camera.target),
+            -np.array(camera.forward),
+            geomgroup=_STAGE_ONLY,
+            flg_static=1,
+            bodyexclude=-1,
+            geomid=np.empty(1, dtype=np.int32),
+        )
+        return camera.distance if hit < 0 else min(camera.distance, 0.9 * hit)
+
     def close(self) -> None:
         """Free the OpenGL context; the renderer cannot be used afterwards."""
         self._context.free()
@@ -168,7 +184,7 @@ def _stage(
     visual.headlight.specular = [0.0, 0.0, 0.0]
     visual.rgba.haze = [0.80, 0.87, 0.93, 1.0]
     visual.map.znear, visual.map.zfar = 0.01, 20  # in units of the extent
-    visual.map.shadowclip = 1.2
+    visual.map.shadowclip = 3.0  # smaller speckles what is nearest the sun
     spec.stat.extent, spec.stat.center = 12.0, [0.0, 0.0, 1.0]
     spec.worldbody.add_light(
         name="sun",
@@ -233,6 +249,7 @@ def _paint(spec: mujoco.MjSpec, picture: GroundPicture) -> None:
         size=[*half, 1.0],
         pos=[*(np.asarray(picture.origin) + half), 0.0],
         material="picture",
+        castshadow=False,
         contype=0,
         conaffinity=0,
     )
@@ -247,6 +264,7 @@ def _add_person(spec: mujoco.MjSpec, body: Body, agent: int, shirt: Colour | Non
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=name,
             rgba=[*piece.colour, 1.0],
+            group=_PEOPLE_GROUP,
             contype=0,
             conaffinity=0,
         )

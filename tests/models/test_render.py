@@ -108,6 +108,16 @@ def test_obstacles_hide_and_the_ground_picture_lies_where_it_belongs():
 
 
 @needs_gl
+def test_the_following_camera_stays_before_walls():
+    behind = Obstacle(
+        name="wall", polygon=np.array([[-1.6, -3], [-1.4, -3], [-1.4, 3], [-1.6, 3]]), height=3.0
+    )
+    with CrowdRenderer(PEOPLE[:1], [behind], width=WIDTH, height=HEIGHT, shirts=[RED]) as renderer:
+        picture = renderer.render(standing(PEOPLE[0], 0, 0)[None], Camera.follow([0, 0, 1, 1, 0, 0, 0]))
+    assert centre_of(picture, RED) == pytest.approx((WIDTH / 2, HEIGHT / 2), abs=0.2 * HEIGHT)
+
+
+@needs_gl
 def test_poses_of_a_wrong_shape_are_refused(renderer):
     with pytest.raises(ValueError, match=r"\(people, 24, 7\)"):
         renderer.render(np.zeros((24, 7)), Camera.top((0, 0), 5.0))
