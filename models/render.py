@@ -125,11 +125,8 @@ class CrowdRenderer:
 
         view = mujoco.MjvCamera()
         view.lookat[:] = camera.target
-        view.distance, view.azimuth, view.elevation = (
-            camera.distance,
-            camera.azimuth_deg,
-            camera.elevation_deg,
-        )
+        view.distance = self._free_distance(camera) if camera.before_walls else camera.distance
+        view.azimuth, view.elevation = camera.azimuth_deg, camera.elevation_deg
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         self._gl.make_current()
         mujoco.mjv_updateScene(self.model, self.data, mujoco.MjvOption(), None, view, everything, self._scene)
