@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from .scene_checks import check_scene
+from .scene_draw import draw_entries
 from .scene_file import (
     Event,
     Flow,
@@ -33,7 +34,8 @@ from .scene_layers import (
     write_png,
     write_tracks,
 )
-from .scene_population import Entry, RecordedPopulation, Track, sample_entries
+from .scene_population import Entry, RecordedPopulation, Track, recorded_entries
+from .terrain import Terrain
 
 __all__ = [
     "Entry",
@@ -56,35 +58,6 @@ __all__ = [
 
 SHIPPED = Path(__file__).resolve().parent.parent / "launch" / "scenes"
 ROAD_COST = 4.0  # a metre of road counts as four metres of pavement for someone who chooses a way
-
-
-@dataclass(frozen=True, eq=False)
-class Terrain:
-    """Ground heights on a regular grid of points, bilinear between them.
-
-    Attributes:
-        heights: (H, W) float32, metres; row index grows with y, column index with x.
-        resolution: Distance of neighbouring points, metres.
-        origin: World x, y of the point heights[0, 0], metres.
-    """
-
-    heights: np.ndarray
-    resolution: float
-    origin: Point
-
-    def height_at(self, xy: np.ndarray) -> np.ndarray:
-        """Ground height (...,) in metres at world points (..., 2); outside the grid as at its edge."""
-        rows, cols = self.heights.shape
-        cell = (np.asarray(xy, dtype=np.float64) - self.origin) / self.resolution
-        x, y = np.clip(cell[..., 0], 0, cols - 1), np.clip(cell[..., 1], 0, rows - 1)
-        j = np.minimum(x.astype(int), max(cols - 2, 0))
-        i = np.minimum(y.astype(int), max(rows - 2, 0))
-        u, v = x - j, y - i
-        right, above = np.minimum(j + 1, cols - 1), np.minimum(i + 1, rows - 1)
-        h = self.heights
-        low = h[i, j] * (1 - u) + h[i, right] * u
-        high = h[above, j] * (1 - u) + h[above, right] * u
-        return low * (1 - v) + high * v
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +147,13 @@ class Scene:
         Raises:
             SceneError: An area has no room for that many.
         """
-        return sample_entries(self, seed, count, duration)
+        if seed < 0 or (count is not None and count < 0):
+            raise SceneError(f"seed and count must not be negative (seed {seed}, count {count})")
+        if self.population is None:
+            return []
+        sample = recorded_entries if isinstance(self.population, RecordedPopulation) else draw_entries
+        entries = sample(self, seed, count)
+        return [entry for entry in entries if duration is None or entry.time <= duration]
 
     @cached_property
     def _blocked(self) -> np.ndarray:
