@@ -68,15 +68,28 @@ def rasterize(
 def signed_distance(polygons: list[np.ndarray], xy: np.ndarray) -> np.ndarray:
     """Distance (...,) in metres of points (..., 2) to the nearest polygon, negative inside, inf without."""
     points = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
-    nearest = np.full(len(points), np.inf)
-    for polygon in polygons:
-        start, edge = polygon, np.roll(polygon, -1, axis=0) - polygon  # (K, 2)
-        offset = points[:, None] - start  # (P, K, 2)
-        along = np.clip((offset * edge).sum(-1) / np.maximum((edge**2).sum(-1), 1e-18), 0.0, 1.0)
-        gap = np.sqrt(((offset - along[..., None] * edge) ** 2).sum(-1).min(axis=1))
-        inside = shapely.contains_xy(shapely.Polygon(polygon), points[:, 0], points[:, 1])
-        nearest = np.minimum(nearest, np.where(inside, -gap, gap))
-    return nearest.reshape(np.shape(xy)[:-1])
+    if not polygons:
+        return np.full(np.shape(xy)[:-1], np.inf)
+    start = np.concatenate(polygons)  # (E, 2), all edges of all polygons
+    edge = np.concatenate([np.roll(polygon, -1, axis=0) for polygon in polygons]) - start
+    first = np.cumsum([0] + [len(polygon) for polygon in polygons[:-1]])
+    chunks = np.array_split(points, max(1, len(points) * len(start) // 500_000))  # a few MB at a time
+    nearest = [_signed_distance(chunk, start, edge, first) for chunk in chunks]
+    return np.concatenate(nearest).reshape(np.shape(xy)[:-1])
+
+
+def _signed_distance(
+    points: np.ndarray, start: np.ndarray, edge: np.ndarray, first: np.ndarray
+) -> np.ndarray:
+    x, y = (points[:, None, axis] - start[:, axis] for axis in (0, 1))  # (P, E)
+    dx, dy = edge.T
+    along = np.clip((x * dx + y * dy) / np.maximum(dx**2 + dy**2, 1e-18), 0.0, 1.0)
+    square = (x - along * dx) ** 2 + (y - along * dy) ** 2
+    # Even-odd rule: count the edges that a ray towards +x crosses.
+    crossed = ((y < 0) != (y < dy)) & ((x * dy < y * dx) == (dy > 0))
+    inside = np.add.reduceat(crossed, first, axis=1, dtype=np.int64) % 2 == 1  # (P, polygons)
+    gap = np.sqrt(np.minimum.reduceat(square, first, axis=1))
+    return np.where(inside, -gap, gap).min(axis=1)
 
 
 def polygon_fault(polygon: np.ndarray) -> str | None:
