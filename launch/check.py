@@ -1,9 +1,9 @@
 """What must be right about a graph before any process is started."""
 
 import importlib.util
+import os
 import re
 import socket
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -54,7 +54,7 @@ def _check_module(graph: Graph, node: NodeSpec) -> None:
         known = [f"footfall.nodes.{path.stem}" for path in shipped.glob("[a-z]*.py")]
         raise ConfigError(
             f"{graph.name}: node {node.name}: no module {node.module!r}; {near(node.module, known)}"
-            f" (modules of your own are looked for in {sys.path[-1]})"
+            f" (modules of your own are looked for in {os.getcwd()})"
         )
 
 

@@ -11,6 +11,7 @@ import msgspec
 
 from ..messages.config import ConfigError
 from ..messages.graph import Graph
+from .check import check_paths
 
 KEPT = 20
 """Directories of ended runs that stay, for their logs."""
@@ -88,7 +89,7 @@ class OwnRunDir:
         path: The directory; by default a new one among this user's runs.
 
     Raises:
-        ConfigError: another run holds the directory.
+        ConfigError: another run holds the directory, or its path is too long for sockets.
         PermissionError: it cannot be written.
     """
 
@@ -96,6 +97,8 @@ class OwnRunDir:
         home = runs_home()
         own = home / f"{graph.name}-{os.getpid()}"
         self.run = RunDir(path.resolve() if path else own)
+        self.graph = msgspec.structs.replace(graph, run_dir=str(self.run.path))
+        check_paths(self.graph)
         self.run.path.mkdir(mode=0o700, parents=True, exist_ok=True)
         self.run.path.chmod(0o700)
         self._lock = (self.run.path / "lock").open("wb")
@@ -111,7 +114,6 @@ class OwnRunDir:
             own.symlink_to(self.run.path)
         self._clear_sockets()
         (self.run.path / "log").mkdir(mode=0o700, exist_ok=True)
-        self.graph = msgspec.structs.replace(graph, run_dir=str(self.run.path))
         unfinished = self.run.path / "graph.json.new"
         unfinished.write_bytes(msgspec.json.format(msgspec.json.encode(self.graph)))
         unfinished.replace(self.run.graph_file)

@@ -1,5 +1,6 @@
 """Runs a graph: starts its nodes, keeps watch, stops them, and says what it came to."""
 
+import os
 import signal
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -11,7 +12,7 @@ import msgspec
 
 from ..messages.bus import Bound, take
 from ..messages.config import near
-from ..messages.diagnostics import Control
+from ..messages.diagnostics import Control, Diagnostics, InputStats, OutputStats
 from ..messages.graph import LAUNCHER, Graph
 from ..messages.link import Failed, Finished, Go, Line, Ready, Reply, Request
 from ..messages.score import Score
@@ -28,6 +29,10 @@ START_TIMEOUT = 60.0
 """Longest wait until every node is ready [s]."""
 BEAT = 0.05
 """Longest time between two looks at everything [s]."""
+REPORTS_TIMEOUT = 1.5
+"""Longest wait at the end for a last report of every node; they come every second [s]."""
+SILENCE = 10.0
+"""A node that has not reported for so long is mentioned [s]."""
 
 
 class Runner:
@@ -71,6 +76,8 @@ class Runner:
         """Whether deaths after the end are of no interest: of nodes that spoke with others that have gone."""
         self._last_words: dict[str, Failed] = {}
         self._counts = Counts()
+        self._reported: dict[str, float] = {}
+        """When each node's last report came."""
         self._score: Score | None = None
         self._sim_ns = 0
         self._started = self._finished = monotonic()
@@ -93,6 +100,7 @@ class Runner:
                 self.bus.publish(GRAPH, self.graph, 0)
                 try:
                     self._run()
+                    self._hear_last_reports()
                     self._console.clear()
                     Shutdown(self).run()
                 except WatchdogError as error:
@@ -108,9 +116,29 @@ class Runner:
             self.look(BEAT if self._gone else BEAT / 5)
             if not self._gone and not self._ended:
                 self._start_when_ready(deadline)
-            if self._gone and self._console.wants_status:
-                self._show_status()
+            if self._gone:
+                self._mention_silent()
+                if self._console.wants_status:
+                    self._show_status()
         self._finished = monotonic()
+
+    def _hear_last_reports(self) -> None:
+        """After a good end, wait for the final counts of every node."""
+        while (
+            self.failure is None
+            and not self.interrupts
+            and monotonic() < self._finished + REPORTS_TIMEOUT
+            and any(self._reported.get(name, 0) < self._finished for name in self.supervisor.alive)
+        ):
+            self.look(BEAT / 5)
+
+    def _mention_silent(self) -> None:
+        for name in self.supervisor.alive & set(self._reported):
+            if monotonic() - self._reported[name] > SILENCE:
+                self._console.say(
+                    f"[{name}] has not reported for {SILENCE:g} s; a step may be long, or it hangs"
+                )
+                del self._reported[name]
 
     def look(self, wait: float) -> None:
         """Take in messages for up to `wait` [s], lines and deaths; act on them."""
@@ -148,6 +176,7 @@ class Runner:
         for received in take(self.bus):
             self._sim_ns = max(self._sim_ns, received.stamp_ns)
             if received.port == DIAGNOSTICS.name:
+                self._reported[received.message.node] = monotonic()
                 self._counts.take(received.message)
             elif received.port == SCORE.name:
                 self._score = received.message
@@ -213,7 +242,9 @@ class Runner:
             lines = self._own.run.output_of(name).read_text(errors="replace").split("\n")
         except OSError:
             return ""
-        return next((line.strip() for line in reversed(lines) if line.strip()), "")
+        said = [line.strip() for line in reversed(lines) if line.strip()]
+        crashes = [line for line in said if line.startswith("Fatal Python error")]
+        return next(iter(crashes + said), "")
 
     @property
     def sim_seconds(self) -> float:
@@ -230,7 +261,22 @@ class Runner:
             status_text(self.sim_seconds, self._factor, agents, self._counts.dropped, self.graph.duration)
         )
 
+    def _count_own(self) -> None:
+        """The launcher publishes and listens too."""
+        inputs = [
+            InputStats(i.edge.topic, i.edge.publisher, i.received, i.dropped, i.skipped, i.rejected, None)
+            for i in self.bus.inlets
+        ]
+        outputs = [
+            OutputStats(
+                source.partition("@")[0], sequence + 1, self.bus.bytes_sent[source.partition("@")[0]], 0
+            )
+            for source, sequence in self.bus.sent.items()
+        ]
+        self._counts.take(Diagnostics(LAUNCHER, os.getpid(), 0, 0.0, 0.0, 0.0, 0, inputs, outputs))
+
     def _summary(self) -> Summary:
+        self._count_own()
         wall = self._finished - self._started if self._gone else 0.0
         return Summary(
             graph=self.graph.name,

@@ -60,6 +60,7 @@ def _with_done_input(node: NodeSpec) -> NodeSpec:
 
 def _launcher(nodes: list[NodeSpec]) -> NodeSpec:
     inputs = {topic.name: Input(topic.name, "queue", 1000) for topic in (DIAGNOSTICS, LOG)}
+    inputs[CLOCK.name] = Input(CLOCK.name)
     if any(SCORE.name in node.outputs.values() for node in nodes):
         inputs[SCORE.name] = Input(SCORE.name)
     outputs = {topic.name: topic.name for topic in (CONTROL, GRAPH)}
