@@ -45,11 +45,11 @@ class Camera:
         """Follow a person from behind (`side_deg` 180: from the front).
 
         Args:
-            pose: pelvis pose (7,), world, [x y z qw qx qy qz], or a person's poses (24, 7).
+            pose: pelvis pose (7,), world, [x y z qw qx qy qz], m, or a person's states (24, 7 or more).
             distance: m.
             side_deg: angle around the person, counter-clockwise.
         """
-        x, y, z, *quaternion = np.asarray(pose, dtype=float).reshape(-1, 7)[0]
+        x, y, z, *quaternion = np.atleast_2d(np.asarray(pose, dtype=float))[0, :7]
         forward = matrix_from_quaternion(quaternion)[:, 0]
         heading = np.degrees(np.arctan2(forward[1], forward[0]))
         return cls((float(x), float(y), float(z)), distance, float(heading + side_deg), -12.0, True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import mujoco
@@ -14,6 +13,7 @@ from .body import FOOT_BODIES, Body
 from .contacts import GROUND, NOBODY, Contacts, read_contacts
 from .crowd_model import CrowdModel
 from .humanoid import MAX_AGENTS, Actuation, actuated_joints
+from .pushes import Push, Pushes
 from .rotations import rotation_vector
 from .skeleton import BODY_INDEX, N_BODIES, N_JOINTS
 from .world_input import WorldError, check_agent, checked_agents, checked_array, checked_root
@@ -32,14 +32,6 @@ _FALLEN_PELVIS, _FALLEN_HEAD = 0.55, 0.60  # of the standing heights
 _FALL_FORCE = 50.0  # N on the ground (PACER, app. B)
 _MAY_PRESS = np.isin(np.arange(N_BODIES), [*FOOT_BODIES, BODY_INDEX["L_Knee"], BODY_INDEX["R_Knee"]])
 _JUDGED = [BODY_INDEX["Pelvis"], BODY_INDEX["Head"]]
-
-
-@dataclass(slots=True)
-class _Push:
-    agent: int
-    part: int
-    force: NDArray[np.float64]
-    steps: int
 
 
 class World:
@@ -91,7 +83,7 @@ class World:
         self._next = self._crowd.qpos.copy()
         self._states = np.zeros((len(bodies), N_BODIES, 13))
         self._present = np.zeros(len(bodies), dtype=bool)
-        self._pushes: list[_Push] = []
+        self._pushes = Pushes()
         self._standing = np.array([[b.pelvis_height, b.measurements.head_height] for b in bodies])
 
     @property
@@ -121,7 +113,7 @@ class World:
         """
         check_agent(agent, self._present, False)
         joints = checked_array("joints", joints, N_JOINTS)
-        pose = self._pose(checked_root(np.asarray(root)[None], 1), joints[None])[0]
+        pose = np.append(checked_root(np.asarray(root)[None], 1)[0], joints[self._hinges])
         twist = checked_array("root_velocity", root_velocity, 6)
         rates = checked_array("joint_velocities", joint_velocities, N_JOINTS)
 
@@ -146,7 +138,7 @@ class World:
         check_agent(agent, self._present, True)
         self._crowd.park(agent)
         self._next[agent] = self._crowd.parked[agent]
-        self._pushes = [push for push in self._pushes if push.agent != agent]
+        self._pushes.cancel(agent)
         self._present[agent] = False
         self._read_poses()
 
@@ -167,7 +159,7 @@ class World:
             )
         ids = checked_agents(agents, self._present)
         joints = checked_array("joints", joints, len(ids), N_JOINTS)
-        self._next[ids] = self._pose(checked_root(root, len(ids)), joints)
+        self._next[ids] = np.concatenate([checked_root(root, len(ids)), joints[:, self._hinges]], axis=1)
 
     def set_targets(self, agents: ArrayLike, joints: ArrayLike) -> None:
         """Set the angles (n, 69), rad, that the joints of people (n,) are pulled to (physics mode).
@@ -193,8 +185,8 @@ class World:
         check_agent(agent, self._present, True)
         if part not in BODY_INDEX:
             raise WorldError(f"There is no body part {part!r}; the parts are {', '.join(BODY_INDEX)}.")
-        self._pushes.append(
-            _Push(agent, BODY_INDEX[part], checked_array("force", force, 3), self._steps(duration))
+        self._pushes.add(
+            Push(agent, BODY_INDEX[part], checked_array("force", force, 3), self._steps(duration))
         )
 
     def set_obstacle(self, index: int, there: bool) -> None:
@@ -216,7 +208,7 @@ class World:
         model, data = self._crowd.model, self._crowd.data
         if self._physics:
             for _ in range(self._steps(dt)):
-                self._apply_pushes()
+                self._pushes.apply(self._crowd.wrench)
                 mujoco.mj_step(model, data)
             if not np.isfinite(data.qacc).all() or data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
                 raise WorldError("The physics became unstable: use a smaller timestep or milder targets.")
@@ -263,9 +255,8 @@ class World:
 
     def contacts(self) -> Contacts:
         """Return what touches; in physics mode as solved in the last time step."""
-        touch = read_contacts(
-            self._crowd.model, self._crowd.data, self._crowd.geom_obstacle, forces=self._physics
-        )
+        crowd = self._crowd
+        touch = read_contacts(crowd.model, crowd.data, crowd.geom_obstacle, forces=self._physics)
         gone = ~self._present[touch.agent] | ((touch.other != NOBODY) & ~self._present[touch.other])
         return touch.select(~gone) if gone.any() else touch
 
@@ -287,9 +278,6 @@ class World:
         load = np.bincount(touch.agent[lying], touch.force[lying], minlength=len(self.bodies))
         return low | (load[ids] > _FALL_FORCE)
 
-    def _pose(self, root: NDArray[np.float64], joints: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.concatenate([root, joints[:, self._hinges]], axis=1)
-
     def _read_poses(self) -> None:
         mujoco.mj_kinematics(self._crowd.model, self._crowd.data)
         self._states[..., :3] = self._crowd.xpos
@@ -303,16 +291,6 @@ class World:
         spin, linear = crowd.cvel[agents, :, :3], crowd.cvel[agents, :, 3:]
         self._states[agents, :, 7:10] = linear + np.cross(spin, crowd.xpos[agents] - crowd.centre[agents])
         self._states[agents, :, 10:13] = spin
-
-    def _apply_pushes(self) -> None:
-        if not self._pushes:
-            return
-        self._crowd.wrench[:] = 0.0
-        for push in self._pushes:
-            push.steps -= 1
-            if push.steps >= 0:
-                self._crowd.wrench[push.agent, push.part, :3] += push.force
-        self._pushes = [push for push in self._pushes if push.steps >= 0]
 
     def _steps(self, dt: float) -> int:
         steps = round(dt / self.timestep) if np.isfinite(dt) else 0

@@ -79,6 +79,7 @@ def test_the_following_camera_keeps_the_person_in_the_middle(renderer):
     poses = np.stack([standing(PEOPLE[0], 30.0, -12.0), standing(PEOPLE[1], 0.0, 0.0)])
     picture = renderer.render(poses, Camera.follow(poses[0]))
     assert centre_of(picture, RED) == pytest.approx((WIDTH / 2, 0.4 * HEIGHT), abs=0.1 * HEIGHT)
+    assert Camera.follow(poses[0, 0]) == Camera.follow(np.pad(poses[0], ((0, 0), (0, 6))))
 
 
 @needs_gl
