@@ -430,3 +430,17 @@ def test_scenes_are_found_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         load_scene("crosing")
     with pytest.raises(SceneError, match="no scene 'nowhere'; give a folder"):
         load_scene("nowhere")
+
+
+def test_the_scene_in_the_documentation_loads(tmp_path: Path) -> None:
+    page = Path(__file__).parents[2] / "docs" / "scenes.md"
+    (text,) = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    (tmp_path / "scene.yaml").write_text(text)
+    for layer in ("walkable", "road"):
+        Image.new("1", (100, 80), 1).save(tmp_path / f"{layer}.png")
+    Image.fromarray(np.zeros((161, 201), dtype=np.uint16)).save(tmp_path / "heights.png")
+    scene = load_scene(tmp_path)
+    assert scene.bounds == pytest.approx((-5.0, -4.0, 5.0, 4.0))
+    assert len(scene.sample_population(0)) == 6
+    assert isinstance(scene.population, RandomPopulation) and scene.population.body_seed == 7
+    assert [type(event) for event in scene.events] == [NewGoal, ObstacleDropped]
