@@ -13,6 +13,7 @@ from .contacts import GROUND
 from .humanoid import Actuation, add_humanoid, agent_mask
 from .skeleton import N_BODIES
 from .stage import add_ground, add_obstacles
+from .world_input import WorldError
 
 if TYPE_CHECKING:
     from .scene import Obstacle, Terrain
@@ -37,6 +38,9 @@ class CrowdModel:
         powered: whether joints have PD actuators and people may sleep.
         actuation: which hinges exist.
         timestep: physics step, s.
+
+    Raises:
+        WorldError: the time step is not positive.
     """
 
     def __init__(
@@ -113,6 +117,8 @@ class CrowdModel:
 
 
 def _options(n: int, powered: bool, timestep: float) -> mujoco.MjSpec:
+    if not timestep > 0:
+        raise WorldError(f"The physics step must be positive, not {timestep} s.")
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.memory = (64 + 2 * n) << 20

@@ -51,7 +51,7 @@ class World:
         timestep: physics step, s.
 
     Raises:
-        WorldError: no or too many people, or an unknown mode.
+        WorldError: no or too many people, an unknown mode, or no positive time step.
         ObstacleError: an obstacle's outline is not a simple polygon.
     """
 

@@ -368,6 +368,7 @@ def test_mistakes_are_named():
         (lambda: world.set_obstacle(0, True), "no obstacle 0"),
         (lambda: world.advance(0.0), "positive"),
         (lambda: World([]), "1 to 1024"),
+        (lambda: World(PEOPLE, timestep=0.0), "must be positive"),
         (lambda: World(PEOPLE, mode="magic"), "'magic'"),  # type: ignore[arg-type]
     ]:
         with pytest.raises(WorldError, match=complaint):
