@@ -237,7 +237,7 @@ def save_scene(scene: Scene, folder: str | Path) -> Path:
 
 def _find(name: str | Path) -> Path:
     text = str(name)
-    for folder in (SHIPPED / text, Path("scenes") / text) if text.isidentifier() else ():
+    for folder in (SHIPPED / text, Path("scenes") / text) if Path(text).name == text else ():
         if (folder / "scene.yaml").is_file():
             return folder
     folder = Path(name)

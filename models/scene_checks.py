@@ -50,10 +50,16 @@ def _check_obstacles(scene: "Scene") -> None:
 
 def _check_terrain(scene: "Scene") -> None:
     terrain = scene.terrain
-    if terrain and (terrain.heights.ndim != 2 or not np.isfinite(terrain.heights).all()):
+    if not terrain:
+        return
+    if terrain.heights.ndim != 2 or not np.isfinite(terrain.heights).all():
         raise SceneError("terrain: heights must be (H, W) finite numbers")
-    if terrain and not (np.isfinite(terrain.resolution) and terrain.resolution > 0):
+    if not (np.isfinite(terrain.resolution) and terrain.resolution > 0):
         raise SceneError(f"terrain.resolution: {terrain.resolution} m; it must be a positive number")
+    span = (np.array(terrain.heights.shape[::-1]) - 1) * terrain.resolution
+    reach = np.concatenate([terrain.origin, terrain.origin + span])
+    if not np.allclose(reach, scene.bounds, atol=0.5 * terrain.resolution):
+        raise SceneError(f"terrain: its points span {reach.round(3).tolist()}, the map {list(scene.bounds)}")
 
 
 def _check_population(scene: "Scene") -> None:

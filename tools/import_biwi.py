@@ -64,7 +64,7 @@ def import_biwi(source: str | Path, scene: str, out: str | Path) -> Scene:
     solid = rasterize([obstacle.polygon for obstacle in obstacles], shape, RESOLUTION, origin)
     seconds = max(track[-1, 0] for track in tracks.values())
     made = Scene(
-        name=Path(out).name,
+        name=Path(out).resolve().name,
         description=f"Recorded: {scene}, {len(tracks)} pedestrians in {seconds:.0f} s.",
         resolution=RESOLUTION,
         origin=origin,
@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         scene = import_biwi(args.folder, args.scene, out)
         moved = [entry.moved for entry in scene.sample_population(seed=0) if entry.moved > 0]
-    except SceneError as error:
+    except (SceneError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
     assert isinstance(scene.population, RecordedPopulation)

@@ -393,6 +393,7 @@ def test_a_broken_file_is_named_with_what_is_wrong(
         ({"layers": {"walkable": np.ones((100, 200))}}, "layers.walkable: float64"),
         ({"obstacles": (Obstacle("dot", np.zeros((4, 2))),)}, "obstacles[0] 'dot'"),
         ({"obstacles": (Obstacle("gap", np.array([(0, 0), (1, 0), (np.nan, 1)])),)}, "not a finite number"),
+        ({"terrain": Terrain(np.zeros((3, 3), np.float32), 5.0, (0, 0))}, "span [0.0, 0.0, 10.0, 10.0]"),
         ({"terrain": Terrain(np.full((3, 3), np.nan, np.float32), 5.0, (0, 0))}, "terrain: heights"),
     ],
 )  # fmt: skip
