@@ -113,7 +113,7 @@ def measure(shape: ArrayLike) -> Measurements:
     Raises:
         ShapeError: not ten finite numbers, or a stature or mass outside `STATURE_RANGE`, `MASS_RANGE`.
     """
-    z = _checked(shape)
+    z: list[float] = _checked(shape).tolist()
     male = NormalDist().cdf(_SEX_STEEPNESS * z[0])
     stature = blend(_STATURE_MEAN, male) + z[1] * blend(_STATURE_SD, male)
     mass = blend(_BMI_MEDIAN, male) * float(np.exp(_BMI_LOG_SD * z[2])) * stature**2

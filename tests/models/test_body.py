@@ -1,8 +1,11 @@
 """The body against published tables, MuJoCo's kinematics and plain geometry."""
 
+import doctest
+
 import mujoco
 import numpy as np
 import pytest
+from footfall.models import body as body_module
 from footfall.models.anthropometry import MASS_RANGE, N_SHAPE, STATURE_RANGE
 from footfall.models.body import (
     BODY_INDEX,
@@ -53,6 +56,10 @@ def arms_down() -> np.ndarray:
 def model_of(body, actuation: Actuation = "full"):
     model = mujoco.MjModel.from_xml_string(to_mjcf(body, actuation))
     return model, mujoco.MjData(model)
+
+
+def test_the_example_in_the_documentation_holds():
+    assert doctest.testmod(body_module).failed == 0
 
 
 def test_order_is_smpl():
