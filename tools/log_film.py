@@ -1,0 +1,194 @@
+"""`footfall log film`: the MuJoCo scene of a log as an MP4."""
+
+import argparse
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from time import monotonic
+
+import numpy as np
+
+from ..messages.body import Bodies, BodyStates
+from ..messages.config import ConfigError
+from ..messages.log import LogError, LogReader
+from ..messages.map import SemanticMap
+from ..messages.topics import BODIES, BODY_STATES, MAP
+from .log_plot import LAYER_COLOURS
+
+CAMERAS = ("street", "top", "follow")
+
+
+def film(
+    log_path: str | Path,
+    out_path: str | Path,
+    camera: str = "street",
+    size: tuple[int, int] = (960, 540),
+    rate_hz: int = 15,
+    start: float = 0.0,
+    duration: float | None = None,
+    follow: int | None = None,
+    shadows: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Render the body states of a log; returns the film's path.
+
+    Args:
+        log_path: The log; needs the topics map, bodies and body_states.
+        out_path: MP4 to write.
+        camera: `street` (from a corner, at an angle), `top`, or `follow` (behind one person).
+        size: Width and height in pixels, both even.
+        rate_hz: Frames per simulated second.
+        start: First simulated second.
+        duration: Simulated seconds; None for all.
+        follow: Whom to follow; None for who is there longest.
+        shadows: Whether the sun casts shadows; without a GPU they double the time.
+        progress: Called with frames done and frames in all.
+
+    Raises:
+        LogError: the log lacks a topic, or nobody is in it then.
+        RenderError: no OpenGL (says what to install), or the film cannot be written.
+    """
+    from ..models.body import describe
+    from ..models.render import CrowdRenderer
+    from ..models.scene import Obstacle, Terrain
+    from ..models.video import write_video
+
+    place, bodies, states = read_film(log_path, start, duration, rate_hz)
+    terrain = place.terrain
+    with CrowdRenderer(
+        [describe(shape) for shape in bodies.shapes.astype(np.float64)],
+        [Obstacle(o.name, np.array(o.polygon), o.height) for o in place.obstacles],
+        terrain and Terrain(np.array(terrain.heights), terrain.resolution, terrain.origin),
+        width=size[0],
+        height=size[1],
+        shadows=shadows,
+        ground=None if terrain else painted_ground(place),
+    ) as renderer:
+        whom = most_present(states) if follow is None else follow
+        rows = {agent: row for row, agent in enumerate(bodies.ids.tolist())}
+
+        def frames() -> Iterator[np.ndarray]:
+            for state in states:
+                agents = [rows[agent] for agent in state.ids.tolist()]
+                yield renderer.render(state.joints[..., :7], viewpoint(camera, place, state, whom), agents)
+
+        done = (lambda count: progress(count, len(states))) if progress else None
+        write_video(out_path, frames(), rate_hz, done)
+    return Path(out_path)
+
+
+def read_film(
+    log_path: str | Path, start: float, duration: float | None, rate_hz: int
+) -> tuple[SemanticMap, Bodies, list[BodyStates]]:
+    """Map, bodies, and one body state a frame."""
+    reader = LogReader(log_path)
+    missing = [topic.name for topic in (MAP, BODIES, BODY_STATES) if topic.name not in reader.topics]
+    if missing:
+        raise LogError(f"{log_path}: has no {', '.join(missing)}; a film needs map, bodies and body_states")
+    place = next(iter(reader.read(MAP))).message
+    bodies = next(iter(reader.read(BODIES))).message
+    end = None if duration is None else round((start + duration) * 1e9) + 1
+    states: list[BodyStates] = []
+    for item in reader.read(BODY_STATES, start_ns=round(start * 1e9), end_ns=end):
+        if (item.stamp_ns * 1e-9 - start) * rate_hz >= len(states) - 1e-6:
+            states.append(item.message)
+    if not any(len(state.ids) for state in states):
+        raise LogError(f"{log_path}: nobody is there from {start:g} s on")
+    return place, bodies, states
+
+
+def viewpoint(camera: str, place: SemanticMap, state: BodyStates, whom: int):
+    """The camera of one frame."""
+    from ..models.camera import Camera
+
+    rows, columns = place.raster.shape[1:]
+    width, height = columns * place.resolution, rows * place.resolution
+    centre = np.array(place.origin) + 0.5 * np.array([width, height])
+    if camera == "top":
+        return Camera.top(centre, max(height, width * 9 / 16))
+    row = np.flatnonzero(state.ids == whom)
+    if camera == "follow" and len(row):
+        return Camera.follow(state.joints[row[0], 0, :7])
+    return Camera((float(centre[0]), float(centre[1]), 0.0), 0.8 * max(width, height), 55.0, -32.0)
+
+
+def most_present(states: list[BodyStates]) -> int:
+    """Who is in the most frames; of several the lowest id."""
+    ids, counts = np.unique(np.concatenate([state.ids for state in states]), return_counts=True)
+    return int(ids[counts.argmax()])
+
+
+def painted_ground(place: SemanticMap):
+    """The raster layers as a picture on the ground."""
+    from ..models.render import GroundPicture
+
+    image = np.full((*place.raster.shape[1:], 3), _rgb("#a9a6a0"), np.uint8)
+    layers = dict(zip(place.layers, place.raster, strict=True))
+    for name, colour in LAYER_COLOURS.items():
+        if name in layers:
+            image[layers[name] > 0] = _rgb(colour)
+    return GroundPicture(image, place.resolution, place.origin)
+
+
+def _rgb(colour: str) -> tuple[int, ...]:
+    return tuple(int(colour[i : i + 2], 16) for i in (1, 3, 5))
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """`1280x720` as two numbers.
+
+    Raises:
+        argparse.ArgumentTypeError: anything else.
+    """
+    match = re.fullmatch(r"(\d+)x(\d+)", text)
+    if not match or int(match[1]) % 2 or int(match[2]) % 2:
+        raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT with even numbers, e.g. 1280x720")
+    return int(match[1]), int(match[2])
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `footfall log film`."""
+    parser.add_argument("log", help="recorded run (.mcap)")
+    parser.add_argument("-o", "--out", help="film (default: the log's name with .mp4)")
+    parser.add_argument("--camera", choices=CAMERAS, default="street")
+    parser.add_argument("--size", type=size_of, default=(960, 540), help="WIDTHxHEIGHT (default 960x540)")
+    parser.add_argument("--fps", type=int, default=15, help="frames per simulated second (default 15)")
+    parser.add_argument("--start", type=float, default=0.0, metavar="S")
+    parser.add_argument("--duration", type=float, metavar="S")
+    parser.add_argument("--follow", type=int, metavar="ID", help="whom to follow with --camera follow")
+    parser.add_argument("--no-shadows", action="store_true", help="half the time without a GPU")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Film; prints the path."""
+    out = Path(arguments.out) if arguments.out else Path(arguments.log).with_suffix(".mp4")
+    if arguments.fps < 1:
+        raise ConfigError(f"--fps {arguments.fps}: at least one frame a second is needed")
+    film(
+        arguments.log,
+        out,
+        arguments.camera,
+        arguments.size,
+        arguments.fps,
+        arguments.start,
+        arguments.duration,
+        arguments.follow,
+        not arguments.no_shadows,
+        progress_line(),
+    )
+    print(out)
+    return 0
+
+
+def progress_line() -> Callable[[int, int], None]:
+    """Shows frames done and the time left on a terminal's standard error."""
+    begin = monotonic()
+
+    def show(done: int, total: int) -> None:
+        if sys.stderr.isatty():
+            left = (monotonic() - begin) / done * (total - done)
+            end = "\n" if done == total else ""
+            print(f"\rframe {done} of {total}, {left:.0f} s left ", end=end, file=sys.stderr, flush=True)
+
+    return show
