@@ -1,6 +1,8 @@
 """Array fields of messages: what an ndarray in a message must look like."""
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -26,20 +28,27 @@ class Array:
     allow_nan: bool = False
     """Whether NaN and infinity may stand in the array."""
 
+    @cached_property
+    def numpy_dtype(self) -> np.dtype:
+        """The element type as numpy knows it."""
+        return np.dtype(self.dtype)
+
     def mismatch(self, array: np.ndarray, lengths: dict[str, int]) -> str | None:
         """Say what is wrong with `array`, or return None; `lengths` collects the named axes."""
-        if array.dtype != np.dtype(self.dtype):
-            return f"has dtype {array.dtype.str}, must be {np.dtype(self.dtype).str}"
-        if array.ndim != len(self.shape):
-            return f"has shape {array.shape}, must be {self.shape_text}"
-        for length, wanted in zip(array.shape, self.shape, strict=True):
-            expected = wanted if isinstance(wanted, int) else lengths.setdefault(wanted, length)
-            if length != expected:
-                where = (
-                    "" if isinstance(wanted, int) else f" with {wanted} = {expected} as in the other fields"
-                )
-                return f"has shape {array.shape}, must be {self.shape_text}{where}"
-        if not self.allow_nan and array.dtype.kind == "f" and not np.isfinite(array).all():
+        if array.dtype != self.numpy_dtype:
+            return f"has dtype {array.dtype.str}, must be {self.numpy_dtype.str}"
+        shape = array.shape
+        if len(shape) != len(self.shape):
+            return f"has shape {shape}, must be {self.shape_text}"
+        where = ""
+        for length, wanted in zip(shape, self.shape, strict=True):
+            if wanted.__class__ is int:
+                expected = wanted
+            elif (expected := lengths.setdefault(wanted, length)) != length:  # type: ignore[arg-type]
+                where = f" with {wanted} = {expected} as in the other fields"
+            if expected != length:
+                return f"has shape {shape}, must be {self.shape_text}{where}"
+        if not self.allow_nan and self.numpy_dtype.kind == "f" and not finite(array):
             return "holds NaN or infinity"
         return None
 
@@ -47,6 +56,16 @@ class Array:
     def shape_text(self) -> str:
         """The shape as written in docs and errors: `(N, 24, 13)`."""
         return "(" + ", ".join(str(n) for n in self.shape) + ("," if len(self.shape) == 1 else "") + ")"
+
+
+def finite(array: np.ndarray) -> bool:
+    """Whether no element of a float array is NaN or infinite."""
+    if array.size <= _SMALL and math.isfinite(np.vdot(array, array)):
+        return True  # the sum of squares of small arrays is quicker, and at worst overflows
+    return bool(np.isfinite(array).all())
+
+
+_SMALL = 10_000
 
 
 @dataclass(frozen=True)

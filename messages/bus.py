@@ -9,6 +9,7 @@ import msgspec
 
 from .codec import Buffer, Codec, Header, MessageError
 from .graph import Edge
+from .schema import compatible
 from .topics import Topic
 
 M = TypeVar("M", bound=msgspec.Struct)
@@ -24,8 +25,11 @@ class BusError(RuntimeError):
     """The bus cannot do what was asked: a subscriber too slow in lockstep, a socket that cannot be bound."""
 
 
-@dataclass(frozen=True, slots=True)
-class Received(Generic[M]):
+class PortError(BusError, ValueError):
+    """A socket that cannot be opened as configured: address taken, path too long, keys missing."""
+
+
+class Received(msgspec.Struct, Generic[M], frozen=True):
     """A message with where it came from."""
 
     port: str
@@ -60,6 +64,10 @@ class Inlet:
     last_sent_ns: int | None = None
     faults: list[MessageError] = field(default_factory=list)
     """Rejections since they were last collected; at most a few are kept."""
+    _newest: int = -1
+    """Sequence number that really came last."""
+    _noted: bytes = b""
+    """Schema of the sender that was last reported as not quite ours."""
 
     @property
     def source(self) -> str:
@@ -73,21 +81,20 @@ class Inlet:
 
     @property
     def full(self) -> bool:
-        """Whether reading must stop so that the publisher feels the back-pressure."""
-        return self.edge.input.policy == "reliable" and len(self.pending) >= self.edge.input.depth
+        """Whether reading must stop so that the publisher feels the back-pressure.
+
+        Never in lockstep, where the tick bounds what can come and the clock waits for all of it.
+        """
+        edge = self.edge
+        return edge.input.policy == "reliable" and not edge.in_step and len(self.pending) >= edge.input.depth
 
     def put(self, parts: Sequence[Buffer]) -> None:
         """Take one message off the wire."""
         try:
             header = Header.unpack(self.edge.topic, parts[0])
+            self._count(header)
             if header.schema != self.codec.schema:
-                raise MessageError(
-                    self.edge.topic,
-                    "schema",
-                    f"{self.edge.publisher} sends {header.schema.hex()}, "
-                    f"{self.edge.subscriber} knows {self.codec.type.__name__} as {self.codec.schema.hex()}; "
-                    "run both sides from one release",
-                )
+                self._check_schema(header.schema)
             if header.frames != len(parts) - 1:
                 raise MessageError(
                     self.edge.topic, "frames", f"header says {header.frames}, {len(parts) - 1} came"
@@ -95,16 +102,45 @@ class Inlet:
         except MessageError as error:
             self.reject(error)
             return
-        same_life = header.sequence >> LIFE_BITS == self.last_sequence >> LIFE_BITS
-        if self.last_sequence >= 0 and same_life:
-            self.dropped += max(0, header.sequence - self.last_sequence - 1)
-        self.last_sequence = header.sequence
-        self.last_sent_ns = header.sent_ns
         self.received += 1
         if not self.keep_all and (limit := self.limit) is not None and len(self.pending) >= limit:
             self.pending.popleft()
             self.skipped += 1
         self.pending.append((header, memoryview(parts[0])[Header.SIZE :], parts[1:]))
+
+    def _count(self, header: Header) -> None:
+        """Notice gaps; a restarted publisher begins anew.
+
+        Raises:
+            MessageError: the message has come before.
+        """
+        newest = self._newest
+        if header.sequence <= newest:
+            raise MessageError(
+                self.edge.topic, "header.sequence", f"{header.sequence} came after {newest}; it is left aside"
+            )
+        if newest >= 0 and header.sequence >> LIFE_BITS == newest >> LIFE_BITS:
+            self.dropped += header.sequence - newest - 1
+        self._newest = header.sequence
+        self.last_sequence = max(self.last_sequence, header.sequence)
+        self.last_sent_ns = header.sent_ns
+
+    def _check_schema(self, theirs: bytes) -> None:
+        """Let messages through that differ in fields with defaults only, and say so once.
+
+        Raises:
+            MessageError: the required fields differ.
+        """
+        ours, edge = self.codec.schema, self.edge
+        name = self.codec.type.__name__
+        sides = f"{edge.publisher} sends {name} as {theirs.hex()}, {edge.subscriber} knows it as {ours.hex()}"
+        if not compatible(ours, theirs):
+            raise MessageError(edge.topic, "schema", f"{sides}; run both from one release")
+        if theirs != self._noted:
+            self._noted = theirs
+            self.faults.append(
+                MessageError(edge.topic, "schema", f"{sides}: fields with defaults differ; reading what fits")
+            )
 
     def reject(self, error: MessageError) -> None:
         """Count a message that is not what the topic promises."""
@@ -114,21 +150,22 @@ class Inlet:
 
     def take(self, bound: Bound | None) -> list[Received[Any]]:
         """Decode what a step shall see; with a bound nothing past it."""
-        last = bound.get(self.source, -1) if bound is not None and self.edge.in_step else None
+        edge, pending = self.edge, self.pending
+        last = bound.get(self.source, -1) if bound is not None and edge.in_step else None
         ready = []
-        while self.pending and (last is None or self.pending[0][0].sequence <= last):
-            ready.append(self.pending.popleft())
+        while pending and (last is None or pending[0][0].sequence <= last):
+            ready.append(pending.popleft())
         if (limit := self.limit) is not None and len(ready) > limit:
             self.skipped += len(ready) - limit
             ready = ready[-limit:]
         taken = []
         for header, body, frames in ready:
+            schema = None if header.schema == self.codec.schema else header.schema
             try:
-                message = self.codec.decode(body, frames)
+                message = self.codec.decode(body, frames, schema=schema)
             except MessageError as error:
                 self.reject(error)
                 continue
-            edge = self.edge
             taken.append(
                 Received(
                     edge.port,
@@ -144,18 +181,20 @@ class Inlet:
 
 
 class Bus(Protocol):
-    """The rim of a node: `ZmqBus` between processes, `MemoryBus` within one."""
+    """The rim of a node: `ZmqBus` between processes, `MemoryBus` within one. It belongs to one thread."""
 
     inlets: list[Inlet]
 
     def publish(self, topic: Topic[M], message: M, stamp_ns: int) -> int:
         """Send a message; returns its sequence number.
 
-        Arrays that own their memory are taken over and made read-only; views are copied.
+        Arrays that can still be written to are copied, so that the caller may go on working in them.
+        Read-only arrays (`array.flags.writeable = False`) are not: freeze large ones to save the copy.
 
         Raises:
             MessageError: the message is not what its topic promises.
-            BusError: a reliable subscriber did not take it in time (lockstep only).
+            BusError: the node has no such output; a reliable subscriber did not take the message in time
+                (lockstep only).
         """
         ...
 
@@ -181,7 +220,8 @@ def take(bus: Bus, bound: Bound | None = None) -> list[Received[Any]]:
         bound: Lockstep: take nothing that other participants sent past these sequence numbers.
     """
     taken = [message for inlet in bus.inlets if inlet.pending for message in inlet.take(bound)]
-    taken.sort(key=lambda m: (m.stamp_ns, m.topic, m.publisher, m.sequence))
+    if len(taken) > 1:
+        taken.sort(key=lambda m: (m.stamp_ns, m.topic, m.publisher, m.sequence))
     return taken
 
 

@@ -4,9 +4,8 @@ import math
 import re
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import msgspec
 import numpy as np
@@ -19,6 +18,11 @@ Buffer = bytes | bytearray | memoryview
 
 INLINE_BYTES = 4096
 """Arrays up to this size travel inside the msgpack body; larger ones in a frame of their own."""
+
+MAX_FRAMES = 255
+"""Array frames of one message; the header has one byte to count them."""
+
+MAX_AXES = 8
 
 _HEADER = struct.Struct("<2sBBQqq8s")
 _MAGIC = b"FF"
@@ -35,8 +39,7 @@ class MessageError(ValueError):
         self.reason = reason
 
 
-@dataclass(frozen=True, slots=True)
-class Header:
+class Header(msgspec.Struct, frozen=True):
     """The fixed 36 bytes in front of every message."""
 
     sequence: int
@@ -50,7 +53,7 @@ class Header:
     frames: int
     """Number of array frames that follow the body."""
 
-    SIZE = _HEADER.size
+    SIZE: ClassVar[int] = _HEADER.size
 
     def pack(self) -> bytes:
         """The header's bytes: magic, version, frames, sequence, stamps, schema; little endian."""
@@ -58,12 +61,17 @@ class Header:
             _MAGIC, WIRE_VERSION, self.frames, self.sequence, self.stamp_ns, self.sent_ns, self.schema
         )
 
+    @staticmethod
+    def count_frames(data: bytes) -> int:
+        """How many frames a header announces; none if it is too short to be one."""
+        return data[3] if len(data) > 3 else 0
+
     @classmethod
     def unpack(cls, topic: str, data: Buffer) -> "Header":
         """Read a header.
 
         Raises:
-            MessageError: too short, not ours, or of another wire version.
+            MessageError: too short, not ours, of another wire version, or stamped before time began.
         """
         if len(data) < _HEADER.size:
             raise MessageError(topic, "header", f"{len(data)} bytes, must be at least {_HEADER.size}")
@@ -72,6 +80,8 @@ class Header:
             raise MessageError(topic, "header", f"starts with {bytes(magic)!r}, must start with {_MAGIC!r}")
         if version != WIRE_VERSION:
             raise MessageError(topic, "header", f"wire version {version}, this side speaks {WIRE_VERSION}")
+        if stamp_ns < 0:
+            raise MessageError(topic, "header.stamp_ns", f"is {stamp_ns}, must not be negative")
         return cls(sequence, stamp_ns, sent_ns, schema, frames)
 
 
@@ -80,6 +90,7 @@ class Codec(Generic[M]):
 
     A body is a msgpack map of field names; an array field is `[dtype, shape, where]`, where `where` is
     the index of its frame, or the elements themselves when they are few or the message is self-contained.
+    A codec belongs to one thread.
     """
 
     def __init__(self, topic: str, message_type: type[M]) -> None:
@@ -99,24 +110,34 @@ class Codec(Generic[M]):
         Raises:
             MessageError: a field does not match its specification.
         """
-        validate(self.topic, message)
-        self._frames = []
-        try:
-            body = self._encoder.encode(message)
-        except (TypeError, OverflowError) as error:
-            raise MessageError(self.topic, "", str(error)) from None
-        return body, self._frames
+        self._check(message)
+        self._frames = frames = []
+        body = self._encode(message)
+        if len(frames) > MAX_FRAMES:
+            raise MessageError(self.topic, "frames", f"{len(frames)} large arrays, at most {MAX_FRAMES} fit")
+        return body, frames
 
     def encode_inline(self, message: M) -> bytes:
-        """One self-contained msgpack record with every array inside, as logs store it."""
+        """One self-contained msgpack record with every array inside, as logs store it.
+
+        Raises:
+            MessageError: a field does not match its specification.
+        """
+        self._check(message)
         self._inline_limit = 1 << 62
         try:
-            return self._encoder.encode(message)
+            return self._encode(message)
         finally:
             self._inline_limit = INLINE_BYTES
 
-    def decode(self, body: Buffer, frames: Sequence[Buffer] = ()) -> M:
-        """The message; its arrays are read-only views of `frames` or `body`.
+    def decode(self, body: Buffer, frames: Sequence[Buffer] = (), *, schema: bytes | None = None) -> M:
+        """The message; its arrays are read-only, and views of `frames` where those are aligned.
+
+        Args:
+            body: The msgpack map.
+            frames: Array frames in the order of their indices.
+            schema: Schema hash the sender gave, where it is not ours but `compatible` with it: fields we
+                do not know are then left aside, and fields the sender does not know get their defaults.
 
         Raises:
             MessageError: anything that is not exactly a valid message of this type.
@@ -125,30 +146,48 @@ class Codec(Generic[M]):
         self._used = set()
         try:
             message = self._decoder.decode(body)
-        except MessageError:
-            raise
+            if len(self._used) != len(frames) and schema is None:
+                raise MessageError(
+                    self.topic, "frames", f"{len(frames)} frames came, the body uses {len(self._used)}"
+                )
+            validate(self.topic, message)
+        except MessageError as error:
+            raise self._named(error, schema) from None
         except (msgspec.DecodeError, ValueError, TypeError, OverflowError, RecursionError) as error:
             reason, _, path = str(error).partition(" - at `")
-            raise MessageError(self.topic, _field_of(path), reason) from None
+            raise self._named(MessageError(self.topic, _field_of(path), reason), schema) from None
         finally:
             self._received = ()
-        if len(self._used) != len(frames):
+        return message
+
+    def _named(self, error: MessageError, schema: bytes | None) -> MessageError:
+        if schema is None:
+            return error
+        text = f"{error.reason} (sent as schema {schema.hex()}, read as {self.schema.hex()})"
+        return MessageError(self.topic, error.field, text)
+
+    def _check(self, message: M) -> None:
+        if type(message) is not self.type:
             raise MessageError(
-                self.topic, "frames", f"{len(frames)} frames came, the body uses {len(self._used)}"
+                self.topic, "", f"is a {type(message).__name__}, must be a {self.type.__name__}"
             )
         validate(self.topic, message)
-        return message
+
+    def _encode(self, message: M) -> bytes:
+        try:
+            return self._encoder.encode(message)
+        except (TypeError, ValueError, OverflowError, RecursionError) as error:
+            raise MessageError(self.topic, "", str(error)) from None
 
     def _encode_array(self, value: Any) -> Any:
         if not isinstance(value, np.ndarray):
             if isinstance(value, np.generic):
                 return value.item()
             raise TypeError(f"{type(value).__name__} cannot stand in a message")
-        array = np.ascontiguousarray(value)
-        if array.nbytes <= self._inline_limit:
-            return (array.dtype.str, array.shape, array.tobytes())
-        self._frames.append(array)
-        return (array.dtype.str, array.shape, len(self._frames) - 1)
+        if value.nbytes <= self._inline_limit:
+            return (value.dtype.str, value.shape, value.tobytes())
+        self._frames.append(value if value.flags.c_contiguous else value.copy(order="C"))
+        return (value.dtype.str, value.shape, len(self._frames) - 1)
 
     def _decode_array(self, wanted: type, value: Any) -> Any:
         if wanted is not np.ndarray:
@@ -159,12 +198,8 @@ class Codec(Generic[M]):
         dtype = DTYPES.get(dtype_name) if isinstance(dtype_name, str) else None
         if dtype is None:
             raise ValueError(f"dtype {dtype_name!r} is not one of {', '.join(sorted(DTYPES))}")
-        if not isinstance(shape, (list, tuple)) or not all(
-            type(n) is int and 0 <= n < 1 << 31 for n in shape
-        ):
-            raise ValueError(f"shape {shape!r} is not a list of lengths")
-        if len(shape) > 8:
-            raise ValueError(f"{len(shape)} axes, at most 8 are allowed")
+        if not isinstance(shape, (list, tuple)) or len(shape) > MAX_AXES:
+            raise ValueError(f"shape {str(shape)[:80]} is not a list of at most {MAX_AXES} lengths")
         if isinstance(where, bytes):
             data: Buffer = where
         elif type(where) is int and 0 <= where < len(self._received) and where not in self._used:
@@ -173,10 +208,11 @@ class Codec(Generic[M]):
         else:
             raise ValueError(f"frame {where!r} is not among the {len(self._received)} frames that came")
         size = math.prod(shape) * dtype.itemsize
-        length = memoryview(data).nbytes
-        if size != length:
-            raise ValueError(f"shape {tuple(shape)} of {dtype.str} needs {size} bytes, {length} came")
-        array = np.frombuffer(data, dtype).reshape(shape)
+        if size != len(data):
+            raise ValueError(f"shape {tuple(shape)} of {dtype.str} needs {size} bytes, {len(data)} came")
+        array = np.ndarray(shape, dtype, data)
+        if not array.flags.aligned:  # frames under about 9 kB lie anywhere in the receive buffer
+            array = array.copy()
         array.flags.writeable = False
         return array
 
@@ -212,7 +248,7 @@ def validate(topic: str, message: msgspec.Struct, path: str = "") -> None:
 def _validate_value(topic: str, value: Any, path: str) -> None:
     if isinstance(value, msgspec.Struct):
         validate(topic, value, path + ".")
-    elif isinstance(value, float):
+    elif isinstance(value, (float, np.floating)):
         if not math.isfinite(value):
             raise MessageError(topic, path, f"is {value}, must be finite")
     elif isinstance(value, (list, tuple)):

@@ -5,7 +5,7 @@ from time import monotonic_ns
 
 import msgspec
 
-from .bus import Bound, Inlet
+from .bus import Bound, BusError, Inlet
 from .codec import Codec, Header
 from .graph import Graph, edges
 from .topics import TOPICS, Topic
@@ -20,6 +20,8 @@ class MemoryHub:
         self._inlets: dict[str, list[Inlet]] = {}
         self._latched: dict[str, list[bytes | memoryview]] = {}
         self._by_subscriber: dict[str, list[Inlet]] = {}
+        self.sequence: Bound = {}
+        """Last sequence number by `topic@publisher`."""
         for edge in edges(graph):
             inlet = Inlet(edge, Codec(edge.topic, topics[edge.topic].type), edge.reliable)
             self._inlets.setdefault(inlet.source, []).append(inlet)
@@ -48,20 +50,24 @@ class MemoryBus:
         self.inlets = inlets
         self._hub = hub
         self._node = node
+        self._names = hub.graph.node(node).outputs
         self._codecs: dict[str, Codec] = {}
-        self._sequence: dict[str, int] = {}
 
     def publish(self, topic: Topic, message: msgspec.Struct, stamp_ns: int) -> int:
         """See `Bus.publish`."""
-        name = self._hub.graph.node(self._node).outputs.get(topic.name, topic.name)
-        codec = self._codecs.setdefault(name, Codec(name, topic.type))
-        body, frames = codec.encode(message)
+        name = self._names.get(topic.name)
+        if name is None:
+            raise BusError(f"{self._node} has no output {topic.name!r} in this graph")
+        codec = self._codecs.get(name)
+        if codec is None:
+            codec = self._codecs[name] = Codec(name, self._hub.topics[name].type)
+        body, arrays = codec.encode(message)
         source = f"{name}@{self._node}"
-        sequence = self._sequence.get(source, -1) + 1
-        self._sequence[source] = sequence
-        header = Header(sequence, stamp_ns, monotonic_ns(), codec.schema, len(frames))
-        parts: list[bytes | memoryview] = [header.pack() + body, *(memoryview(f.tobytes()) for f in frames)]
-        self._hub.deliver(source, parts, topic.latched)
+        sequence = self._hub.sequence.get(source, -1) + 1
+        header = Header(sequence, stamp_ns, monotonic_ns(), codec.schema, len(arrays))
+        frames = [memoryview(array.tobytes()) for array in arrays]
+        self._hub.deliver(source, [header.pack() + body, *frames], topic.latched)
+        self._hub.sequence[source] = sequence
         return sequence
 
     def poll(self, timeout: float, ready: Callable[[], bool] | None = None) -> bool:
@@ -71,7 +77,8 @@ class MemoryBus:
     @property
     def sent(self) -> Bound:
         """See `Bus.sent`."""
-        return dict(self._sequence)
+        suffix = f"@{self._node}"
+        return {source: last for source, last in self._hub.sequence.items() if source.endswith(suffix)}
 
     def close(self) -> None:
         """See `Bus.close`."""

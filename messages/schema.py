@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from .array import Array, Volatile
+from .array import DTYPES, Array, Volatile
 
 
 @dataclass(frozen=True)
@@ -65,49 +65,70 @@ def _type_text(annotation: Any) -> str:
     """A canonical spelling of a type, the same on every Python."""
     origin = typing.get_origin(annotation)
     if origin is typing.Annotated:
-        return _type_text(typing.get_args(annotation)[0])
+        base, *extras = typing.get_args(annotation)
+        bounds = [repr(extra) for extra in extras if isinstance(extra, msgspec.Meta)]
+        return _type_text(base) + "".join(bounds)
     if origin is None:
         return getattr(annotation, "__name__", str(annotation))
+    if origin is typing.Literal:
+        return f"Literal[{','.join(repr(value) for value in typing.get_args(annotation))}]"
     name = "union" if origin in (typing.Union, types.UnionType) else getattr(origin, "__name__", str(origin))
-    arguments = [a if isinstance(a, str) else _type_text(a) for a in typing.get_args(annotation)]
-    return f"{name}[{','.join(arguments)}]"
+    return f"{name}[{','.join(_type_text(argument) for argument in typing.get_args(annotation))}]"
 
 
-def _canonical(message_type: type[msgspec.Struct]) -> list[Any]:
+def _default_text(info: msgspec.structs.FieldInfo) -> str:
+    """A field's default in canonical spelling; `required` if it has none."""
+    if info.default is not msgspec.NODEFAULT:
+        return repr(info.default)
+    return "required" if info.default_factory is msgspec.NODEFAULT else repr(info.default_factory())
+
+
+def _canonical(
+    message_type: type[msgspec.Struct], required_only: bool, above: tuple[type, ...] = ()
+) -> list[Any]:
     """Names, types, defaults and array specifications, recursively, as plain lists."""
     info = {field.name: field for field in msgspec.structs.fields(message_type)}
     rows = []
     for field in fields_of(message_type):
-        default = info[field.name].default
-        factory = info[field.name].default_factory
-        array = field.array and [
-            np.dtype(field.array.dtype).str,
-            list(field.array.shape),
-            field.array.allow_nan,
+        default = _default_text(info[field.name])
+        if required_only and default != "required":
+            continue
+        array = field.array
+        spec = array and [
+            array.numpy_dtype.str,
+            list(array.shape),
+            array.unit,
+            array.frame,
+            array.allow_nan,
         ]
-        default_text = (
-            "required"
-            if default is msgspec.NODEFAULT and factory is msgspec.NODEFAULT
-            else repr(default)
-            if factory is msgspec.NODEFAULT
-            else repr(factory())
-        )
-        rows.append(
-            [
-                field.name,
-                _type_text(field.annotation),
-                default_text,
-                array,
-                [_canonical(s) for s in field.structs],
-            ]
-        )
+        inner = [
+            struct.__name__
+            if struct in above
+            else _canonical(struct, required_only, (*above, message_type, struct))
+            for struct in field.structs
+        ]
+        rows.append([field.name, _type_text(field.annotation), default, spec, inner])
     return [message_type.__name__, message_type.__struct_config__.tag, rows]
+
+
+def _digest(canonical: list[Any]) -> bytes:
+    return hashlib.sha256(json.dumps(canonical, separators=(",", ":")).encode()).digest()[:4]
 
 
 @cache
 def schema_hash(message_type: type[msgspec.Struct]) -> bytes:
-    """The first 8 bytes of SHA-256 over the canonical fields: two types with one hash are one type."""
-    return hashlib.sha256(json.dumps(_canonical(message_type), separators=(",", ":")).encode()).digest()[:8]
+    """8 bytes that change with every change of a message type.
+
+    The first four are of SHA-256 over the required fields alone, the last four over all fields: names,
+    types, defaults, array dtype, shape, unit and frame, recursively. Equal hashes are one type; see
+    `compatible` for what shares the first half only.
+    """
+    return _digest(_canonical(message_type, True)) + _digest(_canonical(message_type, False))
+
+
+def compatible(ours: bytes, theirs: bytes) -> bool:
+    """Whether two schema hashes differ in fields with defaults at most, so that one can read the other."""
+    return ours[:4] == theirs[:4]
 
 
 @cache
@@ -119,7 +140,7 @@ def json_schema(message_type: type[msgspec.Struct]) -> dict[str, Any]:
         "description": "dtype as numpy spells it, shape, elements in C order (little endian bytes)",
         "type": "array",
         "prefixItems": [
-            {"enum": sorted(_dtype_names())},
+            {"enum": sorted(DTYPES)},
             {"type": "array", "items": {"type": "integer"}},
             {},
         ],
@@ -139,9 +160,3 @@ def json_schema(message_type: type[msgspec.Struct]) -> dict[str, Any]:
 
     annotate(message_type)
     return schema
-
-
-def _dtype_names() -> list[str]:
-    from .array import DTYPES
-
-    return list(DTYPES)
