@@ -23,6 +23,9 @@ from ..messages.topics import (
 RECORDER_DEPTH = 1000
 """Messages of one topic the recorder may lag behind before the publisher waits for it."""
 
+COMMON = {topic.name for topic in (CLOCK, CONTROL, DIAGNOSTICS, DONE, GRAPH, LOG, PARAMETERS, STEPS)}
+"""Topics every graph has."""
+
 
 def clock_owners(graph: Graph) -> list[str]:
     """Names of the nodes that publish the clock; a sound graph has one."""
