@@ -95,6 +95,7 @@ class LogIndex:
             )
         facts = record.metadata
         try:
+            bytes.fromhex(facts["schema"])
             return LogChannel(
                 record.id,
                 record.topic,
@@ -107,7 +108,9 @@ class LogIndex:
                 facts["deterministic"] == "true",
             )
         except (KeyError, ValueError) as error:
-            raise LogError(f"{self.path}: channel {record.topic}: its metadata lacks {error}") from None
+            raise LogError(
+                f"{self.path}: channel {record.topic}: its description is damaged: {error}"
+            ) from None
 
 
 def read_index(path: str | Path, walk: bool = False) -> LogIndex:

@@ -4,6 +4,7 @@ import heapq
 import logging
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, Generic, Literal, TypeVar
 
@@ -18,6 +19,7 @@ from .config import near
 from .graph import Graph
 from .log_format import GRAPH_FILE, REPEATED, RUN, VERSIONS, LogChannel, LogError
 from .log_index import ChunkPlace, LogIndex, RawMessage, read_chunk, read_index
+from .schema import compatible
 from .topics import TOPICS, Topic
 
 M = TypeVar("M")
@@ -204,7 +206,7 @@ class LogReader:
         self.check_topics([topic.name])
         codec = Codec(topic.name, topic.type)
         for channel in self.channels:
-            if channel.topic == topic.name and channel.schema != codec.schema.hex():
+            if channel.topic == topic.name and not compatible(codec.schema, bytes.fromhex(channel.schema)):
                 raise LogError(
                     f"{self.path}: {channel.source} was recorded as {channel.type_name} {channel.schema}, "
                     f"this release knows {topic.type.__name__} {codec.schema.hex()}"
@@ -283,8 +285,11 @@ class LogReader:
             log.warning("%s: topic %s is not known here; it is read as plain data", self.path, channel.topic)
             return plain_decoder(channel.topic)
         codec = Codec(topic.name, topic.type)
-        if codec.schema.hex() == channel.schema:
+        recorded = bytes.fromhex(channel.schema)
+        if codec.schema == recorded:
             return codec.decode
+        if compatible(codec.schema, recorded):  # fields with defaults have come or gone since
+            return partial(codec.decode, schema=recorded)
         log.warning(
             "%s: %s was recorded as %s %s, this release knows %s %s; it is read as plain data",
             self.path,

@@ -21,7 +21,7 @@ from ..messages.graph import LAUNCHER, edges
 from ..messages.log import LogError, LogReader
 from ..messages.log_reader import Logged
 from ..messages.log_timeline import Tick, ticks
-from ..messages.schema import schema_hash
+from ..messages.schema import compatible, schema_hash
 from ..messages.topics import CLOCK, CONTROL, DIAGNOSTICS, DONE, LOG, PARAMETERS, STEPS, Topic
 from .node import NodeConfig
 from .process import Process, run_process
@@ -126,7 +126,7 @@ class Player:
             if channel.topic not in wanted:
                 continue
             topic = self.process.topics.get(channel.topic)
-            if topic is not None and schema_hash(topic.type).hex() == channel.schema:
+            if topic is not None and compatible(schema_hash(topic.type), bytes.fromhex(channel.schema)):
                 known[channel.topic] = topic
             else:
                 log.warning("%s: %s has a type unknown here; it is skipped", self.reader.path, channel.source)

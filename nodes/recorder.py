@@ -7,7 +7,7 @@ Out: a log (`docs/logs.md`). When the disk is full it says so, stops writing and
 import logging
 import platform
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -16,12 +16,12 @@ from time import monotonic
 import msgspec
 
 from ..messages.bus import Inlet
-from ..messages.codec import Codec, Header, MessageError
+from ..messages.codec import Buffer, Header, MessageError
 from ..messages.config import ConfigError, configure
 from ..messages.graph import Graph
 from ..messages.log import DiskFullError, LogError, LogWriter
 from ..messages.log_format import REPEATED
-from ..messages.topics import TOPICS, Topic
+from ..messages.topics import CLOCK, TOPICS, Topic
 from .node import NodeConfig
 from .process import Process, Stopped, run_process
 
@@ -98,9 +98,10 @@ class Recorder:
         self.unwritten: dict[str, int] = {}
         """Messages that came and are not in the log."""
         self.paths: list[Path] = []
+        self.now_ns = 0
+        """Simulation time of the last tick seen."""
         self._graph = graph if graph.versions else msgspec.structs.replace(graph, versions=_versions())
         self._topics = topics
-        self._codecs: dict[str, Codec] = {}
         self._latched: dict[str, _Latched] = {}
         self._closed_bytes = 0
         self._split_from_ns: int | None = None
@@ -141,20 +142,24 @@ class Recorder:
             while pending:
                 header, body, frames = pending.popleft()
                 try:
-                    record = self._join(inlet, body, frames) if frames else bytes(body)
+                    record = self._record(inlet, header, body, frames)
                 except MessageError as error:
                     inlet.reject(error)
                     continue
                 self.write(topic, edge.publisher, header, record)
 
-    def _join(self, inlet: Inlet, body: object, frames: object) -> bytes:
-        """One self-contained record of a message that came in several frames."""
+    def _record(self, inlet: Inlet, header: Header, body: Buffer, frames: Sequence[Buffer]) -> bytes:
+        """A message as one self-contained record; most are already."""
         codec = inlet.codec
-        return codec.encode_inline(codec.decode(body, frames))  # type: ignore[arg-type]
+        if header.schema != codec.schema:  # of another release, which the schema in the log is not
+            return codec.encode_inline(codec.decode(body, frames, schema=header.schema))
+        return codec.encode_inline(codec.decode(body, frames)) if frames else bytes(body)
 
     def write(self, topic: Topic, publisher: str, header: Header, record: bytes) -> None:
         """Write one message."""
         source = f"{topic.name}@{publisher}"
+        if topic.name == CLOCK.name:
+            self.now_ns = header.stamp_ns
         item = _Latched(topic, publisher, header.sequence, header.stamp_ns, header.sent_ns, record)
         try:
             if self.full is None:
@@ -267,11 +272,12 @@ def record(process: Process) -> None:
             process.wait()
             recorder.take(bus.inlets)
             recorder.tick()
+            process.now_ns = recorder.now_ns
             process.facts = {
                 "written": sum(recorder.written.values()),
                 "megabytes": recorder.size / _MB,
                 "lost": recorder.lost,
-                "recording": recorder.full is None,
+                "recording": float(recorder.full is None),
             }
             if recorder.full and config.strict:
                 raise recorder.full
