@@ -35,16 +35,15 @@ def new_keys(directory: Path, name: str) -> tuple[Path, Path]:
     """Make a key pair: `NAME.key`, to be given away, and `NAME.key_secret`, readable by its owner only.
 
     Raises:
-        FileExistsError: there is one of that name.
-        ValueError: the name is not a file's.
+        PortError: there is a pair of that name, or the name is not a file's.
     """
     from zmq.auth import create_certificates
 
     if not name or Path(name).name != name:
-        raise ValueError(f"{name!r} cannot name a key; use letters and digits")
+        raise PortError(f"{name!r} cannot name a key; use letters and digits")
     for path in (directory / f"{name}.key", directory / f"{name}.key_secret"):
         if path.exists():
-            raise FileExistsError(f"{path} exists; choose another name, or remove it first")
+            raise PortError(f"{path} exists; choose another name, or remove it first")
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     mask = os.umask(0o077)
     try:

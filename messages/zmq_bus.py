@@ -20,7 +20,7 @@ from typing import Any
 import msgspec
 import zmq
 
-from .bus import LIFE_BITS, Bound, BusError, Inlet
+from .bus import LIFE_BITS, Bound, BusError, Inlet, PortError
 from .codec import Codec, Header
 from .config import near
 from .graph import Edge, Graph, edges
@@ -217,10 +217,17 @@ class ZmqBus:
         else:
             hwm = max(_LATEST_HWM, depth if edge.input.policy == "queue" else 0)
         socket = subscribing(self._context, hwm, _identity(edge))
-        if keys is not None:
-            present_keys(socket, keys)
         own = edge.subscriber if edge.reliable else None
-        socket.connect(address or endpoint(self._graph.run_dir, edge.topic, edge.publisher, own))
+        try:
+            if keys is not None:
+                present_keys(socket, keys)
+            socket.connect(address or endpoint(self._graph.run_dir, edge.topic, edge.publisher, own))
+        except zmq.ZMQError as error:
+            socket.close()
+            raise PortError(f"cannot listen to {edge.topic} at {address}: {error}") from None
+        except PortError:
+            socket.close()
+            raise
         inlet = Inlet(edge, Codec(edge.topic, topic.type), edge.reliable)
         with self._lock:
             self.inlets.append(inlet)
