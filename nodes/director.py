@@ -110,11 +110,7 @@ class Director(Node[Config]):
         agents = inbox.require(AGENTS)
         where = dict(zip(agents.ids.tolist(), agents.now[:, :2].astype(np.float64), strict=True))
         changed = self._new_goals(inbox.now)
-        reached = [
-            p
-            for p in self._people
-            if p.id in where and np.linalg.norm(where[p.id] - p.goal) < self._radius(p)
-        ]
+        reached = [p for p in self._people if p.id in where and self._arrived(p, where[p.id], inbox.now)]
         leave = [] if self._walk_on else reached
         for person in reached:
             person.goals += 1
@@ -131,9 +127,17 @@ class Director(Node[Config]):
             outgoing.append(OBJECTIVES(self._objectives()))
         return outgoing
 
-    def _radius(self, person: _Person) -> float:
-        """Who walks in a group does not stand exactly on the goal when others of the group do."""
-        return self.config.arrival_radius * (1.5 if person.entry.group is not None else 1.0)
+    def _arrived(self, person: _Person, here: np.ndarray, now: float) -> bool:
+        """Whether somebody has reached the goal; those who were recorded standing stay as long as they did."""
+        radius = self.config.arrival_radius
+        if person.entry.group is not None:  # others of the group may stand on the very point
+            radius *= 1.5
+        if np.linalg.norm(here - person.goal) >= radius:
+            return False
+        stands = (
+            person.entry.exit_time is not None and np.linalg.norm(person.goal - person.entry.xy) < 2 * radius
+        )
+        return not stands or now >= (person.entry.exit_time or 0.0)
 
     def _admit(self, now: float, agents: AgentStates) -> list[Enter]:
         """Who enters now: those who are due and find room, at their place or a step beside it."""

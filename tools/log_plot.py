@@ -169,7 +169,7 @@ def title_of(run: Run) -> str:
     share = 100 / max(score.agent_seconds, 1e-9)
     text = (
         f"{run.place.name}: {score.entered} pedestrians, {score.agent_seconds:.0f} agent seconds, "
-        f"{score.goals_reached} goals reached; overlap with others "
+        f"{score.goals_reached} goals reached\noverlap with others "
         f"{share * score.agent_overlap_seconds:.2f} %, with obstacles {share * score.obstacle_overlap_seconds:.2f} %"
     )
     return (
