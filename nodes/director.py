@@ -128,7 +128,7 @@ class Director(Node[Config]):
         return outgoing
 
     def _arrived(self, person: _Person, here: np.ndarray, now: float) -> bool:
-        """Whether somebody has reached the goal; those who were recorded standing stay as long as they did."""
+        """Whether somebody has reached the goal; who was recorded standing stays as long as they did."""
         radius = self.config.arrival_radius
         if person.entry.group is not None:  # others of the group may stand on the very point
             radius *= 1.5

@@ -162,19 +162,20 @@ def draw_place(axes, place: SemanticMap) -> None:
 
 
 def title_of(run: Run) -> str:
-    """One line on the run."""
+    """What the run came to, in two lines."""
     score = run.score
     if score is None:
         return f"{run.place.name}: {len(run.tracks)} pedestrians"
     share = 100 / max(score.agent_seconds, 1e-9)
-    text = (
+    lines = [
         f"{run.place.name}: {score.entered} pedestrians, {score.agent_seconds:.0f} agent seconds, "
-        f"{score.goals_reached} goals reached\noverlap with others "
-        f"{share * score.agent_overlap_seconds:.2f} %, with obstacles {share * score.obstacle_overlap_seconds:.2f} %"
-    )
-    return (
-        text if score.track_distance is None else f"{text}; {score.track_distance:.2f} m from recorded tracks"
-    )
+        f"{score.goals_reached} goals reached",
+        f"overlap with others {share * score.agent_overlap_seconds:.2f} %, "
+        f"with obstacles {share * score.obstacle_overlap_seconds:.2f} %",
+    ]
+    if score.track_distance is not None:
+        lines[1] += f"; {score.track_distance:.2f} m from recorded tracks"
+    return "\n".join(lines)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
