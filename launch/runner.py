@@ -80,7 +80,7 @@ class Runner:
         """When each node's last report came."""
         self._score: Score | None = None
         self._sim_ns = 0
-        self._started = self._finished = monotonic()
+        self._begun = self._started = self._finished = monotonic()
 
     def run(self) -> Summary:
         """Run until a node says it is over, a required one fails, or somebody interrupts."""
@@ -281,6 +281,7 @@ class Runner:
         return Summary(
             graph=self.graph.name,
             sim_seconds=self.sim_seconds,
+            start_seconds=self._started - self._begun,
             wall_seconds=wall,
             real_time_factor=self.sim_seconds / wall if wall else 0.0,
             dropped=self._counts.dropped,

@@ -47,7 +47,7 @@ def substitute(
     nodes = {node.name: node for node in graph.nodes if not _is_left_out(node)}
     replaced = _replaced(nodes, recorded, replace)
     live = [node for name, node in nodes.items() if name not in replaced]
-    played = {name for publisher in replaced for name in recorded.get(publisher, ())} - _OF_EVERY_NODE
+    played = {name for node in replaced for name in _topics_of(node, nodes, recorded)} - _OF_EVERY_NODE
     for name in (*(topics or ()), *exclude, *(remap or {})):
         if name not in played:
             raise ConfigError(f"topic {name!r} is not among those played; {near(name, played)}")
@@ -89,6 +89,12 @@ def _replaced(
         if name not in recorded:
             raise ConfigError(f"--replace: the log has nothing of a node {name!r}; {near(name, recorded)}")
     return [*replace]
+
+
+def _topics_of(name: str, nodes: Mapping[str, NodeSpec], recorded: Mapping[str, Collection[str]]) -> set[str]:
+    """What a replaced node has published, and what it might have."""
+    declared = set(nodes[name].outputs.values()) if name in nodes else set()
+    return {*recorded.get(name, ()), *declared}
 
 
 def _check_sources(live: list[NodeSpec], outputs: Mapping[str, str]) -> None:

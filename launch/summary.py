@@ -22,7 +22,8 @@ class Failure(msgspec.Struct, frozen=True):
     @property
     def text(self) -> str:
         """One sentence."""
-        return f"{self.node}: {self.reason}" + (f" ({self.ended})" if self.ended else "")
+        text = self.reason if self.reason.startswith(self.node) else f"{self.node}: {self.reason}"
+        return f"{text} ({self.ended})" if self.ended and not self.usage else text
 
 
 class TopicCount(msgspec.Struct):
@@ -48,6 +49,8 @@ class Summary(msgspec.Struct, frozen=True):
     agents: int | None
     """Pedestrians who have entered; None without a referee."""
     sim_seconds: float
+    start_seconds: float
+    """From the launcher's start to the moment all nodes are ready."""
     wall_seconds: float
     """From the first tick to the last."""
     real_time_factor: float

@@ -123,7 +123,8 @@ def schema_hash(message_type: type[msgspec.Struct]) -> bytes:
     types, defaults, array dtype, shape, unit and frame, recursively. Equal hashes are one type; see
     `compatible` for what shares the first half only.
     """
-    return _digest(_canonical(message_type, True)) + _digest(_canonical(message_type, False))
+    required = _canonical(message_type, required_only=True)
+    return _digest(["required", required]) + _digest(["all", _canonical(message_type, required_only=False)])
 
 
 def compatible(ours: bytes, theirs: bytes) -> bool:

@@ -119,8 +119,6 @@ class Player:
     def _playable(self) -> dict[str, Topic]:
         """Topics of the log this node publishes, of the types known here."""
         wanted = set(self.process.spec.outputs) - OWN
-        if missing := wanted - set(self.reader.topics):
-            log.warning("%s: holds no %s", self.reader.path, ", ".join(sorted(missing)))
         known = {}
         for channel in self.reader.channels:
             if channel.topic not in wanted:

@@ -7,8 +7,9 @@ import venv
 import zipfile
 from pathlib import Path
 
-import footfall
 import pytest
+
+import footfall
 
 ROOT = Path(footfall.__file__).parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -32,7 +33,9 @@ def test_modules_have_the_names_of_no_other():
         assert not {name for name in packages if modules.count(name) > 1}
 
 
-@pytest.mark.parametrize("module", ["footfall.messages.topics", "footfall.messages.zmq_bus", "footfall.tools.cli"])
+@pytest.mark.parametrize(
+    "module", ["footfall.messages.topics", "footfall.messages.zmq_bus", "footfall.tools.cli"]
+)
 def test_the_core_imports_neither_torch_nor_mujoco(module):
     heavy = "('torch', 'mujoco', 'scipy', 'matplotlib', 'shapely', 'PIL')"
     code = f"import sys, {module}; sys.exit(', '.join(m for m in {heavy} if m in sys.modules))"

@@ -40,7 +40,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command; returns 0, 1 (it failed), 2 (the user's input) or 130 (Ctrl-C)."""
+    """Run one command; returns 0, 1 (it failed), 2 (the user's input), 130 (Ctrl-C) or 141 (closed pipe)."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     traceback = "--traceback" in arguments
     if traceback:
@@ -53,10 +53,11 @@ def main(arguments: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except Exception as error:
-        if traceback or not is_users(error):
+        code = exit_code(error)
+        if traceback or code is None:
             raise
         print(f"footfall: error: {describe(error)}", file=sys.stderr)
-        return 2
+        return code
 
 
 def _run(arguments: list[str]) -> int:
@@ -126,12 +127,19 @@ def _near(name: str, known: list[str]) -> str:
     return f"did you mean {match[0]!r}?" if match else f"known: {', '.join(dict.fromkeys(known))}"
 
 
-def is_users(error: Exception) -> bool:
-    """Whether an error is about the user's input and not a fault of the program."""
-    if isinstance(error, (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)):
-        return error.filename is not None
-    ours = type(error).__module__.partition(".")[0] == "footfall" or type(error).__module__ == __name__
-    return ours and (isinstance(error, (ValueError, FileNotFoundError)) or type(error).__name__ == "BusError")
+def exit_code(error: Exception) -> int | None:
+    """2 for the user's input, 1 for what failed and says why; None for a fault of the program.
+
+    A `ValueError` of our own is about what the user gave, a `RuntimeError` of our own about the world.
+    """
+    place = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)
+    if isinstance(error, place) and error.filename is not None:
+        return 2
+    if type(error).__module__.partition(".")[0] not in ("footfall", "__main__"):
+        return None
+    if isinstance(error, (ValueError, OSError)):
+        return 2
+    return 1 if isinstance(error, RuntimeError) else None
 
 
 def describe(error: Exception) -> str:

@@ -91,9 +91,13 @@ def report(summary: "Summary", as_json: bool) -> int:
 
     from ..launch.summary import summary_text
 
-    print(msgspec.json.encode(summary).decode() if as_json else summary_text(summary), flush=True)
     failure = summary.first_failure
+    if as_json:
+        print(msgspec.json.encode(summary).decode(), flush=True)
+    elif failure is None or summary.sim_seconds:
+        print(summary_text(summary), flush=True)
     if failure is not None:
-        print(f"footfall: error: {failure.text}; logs are in {summary.run_dir}/log", file=sys.stderr)
+        logs = "" if failure.usage else f"; logs are in {summary.run_dir}/log"
+        print(f"footfall: error: {failure.text}{logs}", file=sys.stderr)
         return 2 if failure.usage else 1
     return 128 + summary.signal if summary.signal else 0

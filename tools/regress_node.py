@@ -26,6 +26,8 @@ _BOOKKEEPING = ("diagnostics", "log", "parameters", "steps", "done", CLOCK.name)
 class Step:
     """What one step of the node gave, beside what it had given when recorded."""
 
+    number: int
+    """From 0; -1 for what the node sends at its start."""
     stamp_ns: int
     recorded: dict[str, list[Logged[Any]]]
     given: dict[str, list[Any]]
@@ -104,7 +106,7 @@ def regress(reader: LogReader, name: str, tolerance: Tolerance | None = None) ->
                 result.first = (topic, position, step.stamp_ns * 1e-9, found)
             result.counts[topic][0] += len(recorded)
             result.counts[topic][1] += len(given)
-    result.steps = len(result.replayed)
+    result.steps = sum(step.number >= 0 for step in result.replayed)
     result.wall_seconds = perf_counter() - begin
     return result
 
@@ -139,7 +141,7 @@ def replay(reader: LogReader, name: str) -> Iterator[Step]:
             for (topic, n), item in outputs.items()
             if n >> LIFE_BITS == life and (topic, n) not in produced
         ]
-        yield Step(0, _grouped(first), _given(node.start(), spec))
+        yield Step(-1, 0, _grouped(first), _given(node.start(), spec))
         for trace in own_traces:
             messages = [
                 _find(reader, inputs, spec, source, n, trace) for source, n in _consumed(trace.message)
@@ -153,7 +155,7 @@ def replay(reader: LogReader, name: str) -> Iterator[Step]:
                 for n in numbers
                 if (topic, n) in outputs
             ]
-            yield Step(trace.stamp_ns, _grouped(recorded), given)
+            yield Step(trace.message.step, trace.stamp_ns, _grouped(recorded), given)
         node.close()
 
 

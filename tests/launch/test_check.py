@@ -5,6 +5,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+
 from footfall.launch.check import check, check_paths
 from footfall.launch.expand import SHIPPED
 from footfall.launch.find import shipped_launches

@@ -6,6 +6,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 import yaml
+
 from footfall.launch.expand import SHIPPED
 from footfall.launch.find import find_launch, shipped_launches
 from footfall.launch.launch_file import declared_args, load_launch

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
 from footfall.launch.run_dir import all_runs
 from footfall.launch.running import find_graph
 from footfall.messages.config import ConfigError

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from footfall.messages.compare import Tolerance, first_difference
 from footfall.messages.diagnostics import LogLine
 from footfall.messages.objectives import AgentObjectives, Objectives, SocialDistance, Waypoint

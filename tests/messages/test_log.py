@@ -5,6 +5,10 @@ import msgpack
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
 from footfall.messages.clock import Clock
 from footfall.messages.graph import Graph, NodeSpec
 from footfall.messages.log import LogError, LogReader, LogWriter
@@ -13,9 +17,6 @@ from footfall.messages.map import SemanticMap
 from footfall.messages.schema import schema_hash
 from footfall.messages.score import Score
 from footfall.messages.topics import CLOCK, MAP, SCORE, TOPICS, Topic
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from mcap.reader import make_reader
 
 TICK_NS = 100_000_000
 A_MAP = SemanticMap("yard", ["walkable"], np.ones((1, 90, 50), np.uint8), 0.1, (0.0, 0.0))

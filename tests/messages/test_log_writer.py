@@ -7,11 +7,12 @@ from time import monotonic
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+
 from footfall.messages.clock import Clock
 from footfall.messages.log import DiskFullError, LogReader, LogWriter
 from footfall.messages.map import SemanticMap
 from footfall.messages.topics import CLOCK, MAP
-from mcap.reader import make_reader
 
 RNG = np.random.default_rng(0)
 

@@ -12,6 +12,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 import pytest
+
 from footfall.messages.array import Array
 from footfall.messages.bus import LIFE_BITS, BusError, PortError, Received, arrived, take
 from footfall.messages.graph import ClockSpec, Graph, Input, NodeSpec

@@ -5,6 +5,7 @@ import doctest
 import mujoco
 import numpy as np
 import pytest
+
 from footfall.models import body as body_module
 from footfall.models.anthropometry import MASS_RANGE, N_SHAPE, STATURE_RANGE
 from footfall.models.body import (

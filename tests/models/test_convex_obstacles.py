@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import shapely
+
 from footfall.models.convex_obstacles import ConvexObstacles, ObstacleError, convex_pieces
 
 RADIUS = 0.4

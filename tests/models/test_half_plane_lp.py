@@ -4,8 +4,9 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from footfall.models.half_plane_lp import closest_point, farthest_point, least_violation
 from scipy.optimize import linprog
+
+from footfall.models.half_plane_lp import closest_point, farthest_point, least_violation
 
 
 def random_programs(seed: int, problems: int, constraints: int, low: float) -> tuple[np.ndarray, np.ndarray]:

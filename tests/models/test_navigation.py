@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from footfall.models.navigation import ARRIVAL_TIME, NavigationError, Navigator
 
 RESOLUTION = 0.2

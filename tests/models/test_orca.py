@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import shapely
-from footfall.models.convex_obstacles import ConvexObstacles
-from footfall.models.orca import OrcaError, OrcaParams, Rollout, orca_velocity, rollout, smooth_heading
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from footfall.models.convex_obstacles import ConvexObstacles
+from footfall.models.orca import OrcaError, OrcaParams, Rollout, orca_velocity, rollout, smooth_heading
 
 RADIUS = 0.4
 

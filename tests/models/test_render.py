@@ -5,6 +5,7 @@ import subprocess
 import imageio_ffmpeg
 import numpy as np
 import pytest
+
 from footfall.models import gl
 from footfall.models.body import describe, sample_shapes
 from footfall.models.camera import FIELD_OF_VIEW_DEG, Camera

@@ -4,6 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from scipy.interpolate import RegularGridInterpolator
+
 from footfall.models.scene import (
     Flow,
     Groups,
@@ -21,10 +26,6 @@ from footfall.models.scene import (
     shipped_scenes,
 )
 from footfall.models.scene_layers import rasterize
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from PIL import Image
-from scipy.interpolate import RegularGridInterpolator
 
 
 def box(low_x: float, low_y: float, high_x: float, high_y: float) -> np.ndarray:

@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+
 from footfall.models.body import (
     BODY_INDEX,
     FOOT_BODIES,

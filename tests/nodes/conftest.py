@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import pytest
+
 from footfall.messages.bus import Received
 from footfall.messages.topics import Outgoing
 from footfall.nodes.node import Inbox

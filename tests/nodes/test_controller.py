@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from footfall.nodes.controller import TICK, Follower
 
 

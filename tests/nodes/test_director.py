@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from footfall.messages.agents import AgentStates
 from footfall.messages.config import ConfigError
 from footfall.messages.objectives import TargetSpeed, Waypoint

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 import zmq
+
 from footfall.messages.body import BodyStates
 from footfall.messages.clock import Clock
 from footfall.messages.codec import Header

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from footfall.messages.agents import AgentStates
 from footfall.messages.body import Bodies, Falls
 from footfall.messages.map import Obstacle, SemanticMap

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from footfall.messages.bus import BusError
+
+from footfall.messages.bus import BusError, PortError
 from footfall.messages.config import ConfigError
 from footfall.tools import cli
 
@@ -97,7 +98,7 @@ def failing(monkeypatch: pytest.MonkeyPatch) -> Callable[[BaseException], None]:
     ("error", "text"),
     [
         (ConfigError("a: b\n  c"), "a: b c"),
-        (BusError("no socket"), "no socket"),
+        (PortError("no socket"), "no socket"),
         (FileNotFoundError(2, "No such file or directory", "x.mcap"), "x.mcap: No such file or directory"),
         (PermissionError(13, "Permission denied", "/root/x"), "/root/x: Permission denied"),
     ],
@@ -108,6 +109,12 @@ def test_faults_of_the_user_give_two(failing: Callable, error: Exception, text: 
     assert capsys.readouterr().err == f"footfall: error: {text}\n"
     with pytest.raises(type(error)):
         cli.main(["doctor", "--traceback"])
+
+
+def test_what_fails_says_why_and_gives_one(failing: Callable, capsys: pytest.CaptureFixture) -> None:
+    failing(BusError("nobody reads"))
+    assert cli.main(["doctor"]) == 1
+    assert capsys.readouterr().err == "footfall: error: nobody reads\n"
 
 
 def test_faults_of_the_program_are_not_hidden(failing: Callable) -> None:

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+
 from footfall.launch.run_dir import OwnRunDir
 from footfall.messages.graph import Graph
 from footfall.tools import cli, doctor

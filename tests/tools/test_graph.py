@@ -4,6 +4,7 @@ import json
 import re
 
 import pytest
+
 from footfall.messages.graph import Graph, edges
 from footfall.tools import cli
 

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+from PIL import Image
+
 from footfall.models.scene import RecordedPopulation, Scene, SceneError, load_scene
 from footfall.tools.biwi_source import UCY_MIDDLE, UCY_SCALE, read_recording
 from footfall.tools.import_biwi import add_parser, import_biwi, overlap
-from PIL import Image
 
 DATA = Path(os.environ.get("FOOTFALL_DATA") or Path(__file__).parents[3] / "shared" / "data") / "biwi_maps"
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from footfall.messages.agents import STATE_COLUMNS, AgentStates
 from footfall.messages.clock import Clock
 from footfall.messages.diagnostics import LogLine

@@ -3,10 +3,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+from scipy import ndimage
+
 from footfall.models.scene import SHIPPED, RandomPopulation, Scene, load_scene
 from footfall.tools.make_scenes import MAKERS, main
 from footfall.tools.scene_shapes import bus_shelter, car, covered, disc, outline, rect, solid, turned_box
-from scipy import ndimage
 
 BODY = 0.3  # m, radius of a broad pedestrian
 

@@ -1,6 +1,7 @@
 """Topics of the little graph."""
 
 import msgspec
+
 from footfall.messages.topics import Topic
 
 

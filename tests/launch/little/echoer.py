@@ -8,6 +8,7 @@ import sys
 import time
 
 from beats import BEAT, ECHO
+
 from footfall.nodes.node import Node, NodeConfig
 from footfall.nodes.spin import spin
 

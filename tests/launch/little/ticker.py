@@ -3,6 +3,7 @@
 import sys
 
 from beats import BEAT, ECHO
+
 from footfall.messages.topics import CLOCK
 from footfall.nodes.node import Node, NodeConfig
 from footfall.nodes.spin import spin
