@@ -79,7 +79,7 @@ class Simulator(Node[Config]):
         self._touching: set[tuple[int, ...]] = set()
 
     def step(self, inbox: Inbox) -> Iterable[Outgoing]:
-        """One tick: let people in and out, take the actions, let 1/30 s pass, look."""
+        """One tick: let people out, take the actions, let 1/30 s pass, let people in, look."""
         outgoing: list[Outgoing] = []
         if self._population is None:
             self._population = inbox.require(POPULATION)
@@ -91,14 +91,13 @@ class Simulator(Node[Config]):
         if inbox.new(MAP) or self._world is None:
             self._world = self._build(inbox.require(MAP))
         world = self._world
-        for admissions in inbox.new(ADMISSIONS):
-            for agent in admissions.leave:
-                self._leave(world, agent)
-            for enter in admissions.enter:
-                self._enter(world, enter)
+        for agent in (agent for admissions in inbox.new(ADMISSIONS) for agent in admissions.leave):
+            self._leave(world, agent)
         self._act(world, inbox)
         if self._step:
             world.advance(1 / TICK_RATE_HZ)
+        for enter in (enter for admissions in inbox.new(ADMISSIONS) for enter in admissions.enter):
+            self._enter(world, enter)
         present = np.flatnonzero(world.present)
         joints = world.joint_states(present)
         outgoing.append(BODY_STATES(BodyStates(self._population.ids[present], joints)))
