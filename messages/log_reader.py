@@ -19,7 +19,7 @@ from .config import near
 from .graph import Graph
 from .log_format import GRAPH_FILE, REPEATED, RUN, VERSIONS, LogChannel, LogError
 from .log_index import ChunkPlace, LogIndex, RawMessage, read_chunk, read_index
-from .schema import compatible
+from .schema import compatible, schema_hash
 from .topics import TOPICS, Topic
 
 M = TypeVar("M")
@@ -91,6 +91,7 @@ class LogReader:
         self.path = self.index.path
         self._known = topics
         self._decoders: dict[int, Any] = {}
+        self._warned = False
         if not self.index.complete and not salvage:
             log.warning("%s was not finished by its recorder; its complete chunks are used", self.path)
 
@@ -281,25 +282,32 @@ class LogReader:
 
     def _decoder(self, channel: LogChannel) -> Any:
         topic = self._known.get(channel.topic)
-        if topic is None:
-            log.warning("%s: topic %s is not known here; it is read as plain data", self.path, channel.topic)
-            return plain_decoder(channel.topic)
-        codec = Codec(topic.name, topic.type)
-        recorded = bytes.fromhex(channel.schema)
-        if codec.schema == recorded:
-            return codec.decode
-        if compatible(codec.schema, recorded):  # fields with defaults have come or gone since
-            return partial(codec.decode, schema=recorded)
-        log.warning(
-            "%s: %s was recorded as %s %s, this release knows %s %s; it is read as plain data",
-            self.path,
-            channel.source,
-            channel.type_name,
-            channel.schema,
-            topic.type.__name__,
-            codec.schema.hex(),
-        )
+        if topic is not None:
+            codec = Codec(topic.name, topic.type)
+            recorded = bytes.fromhex(channel.schema)
+            if codec.schema == recorded:
+                return codec.decode
+            if compatible(codec.schema, recorded):  # fields with defaults have come or gone since
+                return partial(codec.decode, schema=recorded)
+        if not self._warned:
+            self._warned = True
+            self._warn()
         return plain_decoder(channel.topic)
+
+    def _warn(self) -> None:
+        """Say once what will be read as plain data, and why."""
+        faults = []
+        for channel in self.channels:
+            topic = self._known.get(channel.topic)
+            if topic is None:
+                faults.append(f"topic {channel.topic} is not known here")
+            elif not compatible(ours := schema_hash(topic.type), bytes.fromhex(channel.schema)):
+                faults.append(
+                    f"{channel.source} was recorded as {channel.type_name} {channel.schema}, "
+                    f"this release knows {topic.type.__name__} {ours.hex()}"
+                )
+        more = f" (and {len(faults) - 3} channels more)" if len(faults) > 3 else ""
+        log.warning("%s: read as plain data: %s%s", self.path, "; ".join(faults[:3]), more)
 
 
 def plain_decoder(topic: str) -> Any:

@@ -106,6 +106,7 @@ class Player:
         except LogError as error:
             raise ConfigError(str(error)) from None
         self.topics = self._playable()
+        self._start_ns = None if config.start is None else round(config.start * 1e9)
         self.failed = 0
         """Recorded messages that could not be read."""
         self.played_ns = 0
@@ -132,39 +133,34 @@ class Player:
 
     def run(self) -> None:
         """Play until the end of the log, or for ever."""
-        position = None if self.config.start is None else round(self.config.start * 1e9)
-        timeline = self._timeline(position)
-        first = next(timeline, None)
+        first, timeline = self._begin(self._start_ns)
         if first is None:
             span = " to ".join(f"{ns * 1e-9:g}" for ns in self.reader.span_ns)
             raise ConfigError(f"{self.reader.path}: nothing to play there; it goes from {span} s")
-        self._publish_prologue(first, position)
         self.process.ready()
-        while True:
+        while first is not None:
             position = self._play(first, timeline)
             if position is None and not self.config.loop:
                 break
-            timeline = self._timeline(position)
-            first = next(timeline, None)
+            first, timeline = self._begin(self._start_ns if position is None else position)
             if first is None:
-                log.error("seek: %s s is past the end of the log", (position or 0) * 1e-9)
-                position = None
-                timeline = self._timeline(None)
-                first = next(timeline)
-            self._publish_prologue(first, position)
+                log.error("seek: %g s is past the end; beginning again", (position or 0) * 1e-9)
+                first, timeline = self._begin(self._start_ns)
         self._report(self._wait_for_delivery())
         self.process.finish("end of the log")
 
-    def _timeline(self, position: int | None) -> Iterator[Tick]:
-        config = self.config
-        begin = round((config.start or 0.0) * 1e9)
-        if position is None and config.start is not None:
-            position = begin
-        end = None if config.duration is None else begin + round(config.duration * 1e9)
-        return ticks(self.reader, self.topics, position, end)
+    def _begin(self, position: int | None) -> tuple[Tick | None, Iterator[Tick]]:
+        """Go to a time [ns] (None: the beginning) and send the latched messages that hold there."""
+        duration = self.config.duration
+        end = None if duration is None else (self._start_ns or 0) + round(duration * 1e9)
+        timeline = ticks(self.reader, self.topics, position, end)
+        first = next(timeline, None)
+        if first is not None:
+            self._publish_prologue(first, position)
+        return first, timeline
 
     def _publish_prologue(self, first: Tick, position: int | None) -> None:
-        """Latched messages that hold when the first tick comes."""
+        """Send latched messages: those from before, and those that came just before the first tick."""
         self.process.now_ns = first.stamp_ns
         if position is not None:
             latched = [c.topic for c in self.reader.channels if c.latched and c.topic in self.topics]

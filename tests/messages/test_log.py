@@ -210,11 +210,10 @@ def test_unknown_topic_and_other_schema_are_read_as_plain_data(tmp_path, caplog)
     assert messages[0] == {"text": "hello", "numbers": [0]}
     assert messages[1] == {"text": "tick", "numbers": []}
     assert messages[2]["raster"].shape == (1, 90, 50)
-    warnings = [record.message for record in caplog.records]
-    assert len(warnings) == 3  # once a channel, not once a message
-    assert "topic odd is not known here" in warnings[0]
+    (warning,) = [record.message for record in caplog.records]  # once, not for each message
+    assert "topic odd is not known here" in warning
     hashes = [schema_hash(Other).hex(), schema_hash(Clock).hex()]
-    assert all(text in warnings[1] for text in hashes)
+    assert f"clock@x was recorded as Other {hashes[0]}, this release knows Clock {hashes[1]}" in warning
     with pytest.raises(LogError, match=f"clock@x was recorded as Other {hashes[0]}, .* Clock {hashes[1]}"):
         reader.read(CLOCK)
     assert LogReader(tmp_path / "a.mcap", {"odd": odd}).read(odd).__next__().message == Other("hello", [0])
