@@ -7,7 +7,7 @@ import socket
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..messages.bus import BusError
+from ..messages.bus import PortError
 from ..messages.config import ConfigError, near
 from ..messages.graph import LAUNCHER, Graph, NodeSpec, edges
 from ..messages.topics import CLOCK, Topic
@@ -97,27 +97,25 @@ def _check_publishers(graph: Graph, topics: Mapping[str, Topic]) -> None:
 
 
 def _check_exposed(graph: Graph) -> None:
-    for node in graph.nodes:
-        for port, address in node.expose.items():
-            where = f"{graph.name}: node {node.name}: expose {port!r}"
-            if port not in node.outputs:
-                raise ConfigError(f"{where}: not an output of the node; {near(port, node.outputs)}")
-            match = re.fullmatch(r"tcp://([^:/\s]+|\[[0-9a-fA-F:]+\]):(\d+)", address)
-            if not match or not 0 < int(match[2]) < 65536:
-                raise ConfigError(f"{where}: {address!r} must be tcp://HOST:PORT, HOST an address or `*`")
-            if graph.security is None:
-                raise ConfigError(
-                    f"{where}: {address} would be open to everybody; give the launch file `security`"
-                    " with secret_key_file and authorized_keys_dir (`footfall keys new` makes keys)"
-                )
-            _check_free(where, match[1].strip("[]"), int(match[2]))
-    if graph.security is not None:
-        for key, path, there in (
-            ("secret_key_file", graph.security.secret_key_file, Path.is_file),
-            ("authorized_keys_dir", graph.security.authorized_keys_dir, Path.is_dir),
-        ):
-            if not there(Path(path)):
-                raise ConfigError(f"{graph.name}: security.{key}: no {path}; `footfall keys new` makes keys")
+    """Everything exposed is an output, has keys that work, and a port that is free."""
+    from ..messages.secure import load_secret, require_keys
+
+    exposed = [(node, port, address) for node in graph.nodes for port, address in node.expose.items()]
+    for node, port, address in exposed:
+        where = f"{graph.name}: node {node.name}: expose {port!r}"
+        if port not in node.outputs:
+            raise ConfigError(f"{where}: not an output of the node; {near(port, node.outputs)}")
+        try:
+            security = require_keys(where, address, graph.security)
+            load_secret(security.secret_key_file)
+        except PortError as error:
+            raise ConfigError(str(error)) from None
+        match = re.fullmatch(r"tcp://([^:/\s]+|\[[0-9a-fA-F:]+\]):(\d+)", address)
+        if not match or not 0 < int(match[2]) < 65536:
+            raise ConfigError(f"{where}: {address!r} must be tcp://HOST:PORT, HOST an address or `*`")
+        if not any(Path(security.authorized_keys_dir).glob("*.key")):
+            raise ConfigError(f"{where}: no keys in {security.authorized_keys_dir}, so nobody could connect")
+        _check_free(where, match[1].strip("[]"), int(match[2]))
 
 
 def _check_free(where: str, host: str, port: int) -> None:
@@ -142,5 +140,5 @@ def check_paths(graph: Graph) -> None:
     try:
         for edge in edges(graph):
             endpoint(graph.run_dir, edge.topic, edge.publisher, edge.subscriber)
-    except BusError as error:
+    except PortError as error:
         raise ConfigError(f"{graph.name}: {error}") from None

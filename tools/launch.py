@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -100,4 +101,7 @@ def report(summary: "Summary", as_json: bool) -> int:
         logs = "" if failure.usage else f"; logs are in {summary.run_dir}/log"
         print(f"footfall: error: {failure.text}{logs}", file=sys.stderr)
         return 2 if failure.usage else 1
-    return 128 + summary.signal if summary.signal else 0
+    if summary.signal is None:
+        return 0
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C pressed once more than needed changes nothing
+    return 128 + summary.signal

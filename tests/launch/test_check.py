@@ -14,6 +14,7 @@ from footfall.launch.prepare import prepare
 from footfall.launch.wiring import complete, with_recorder
 from footfall.messages.config import ConfigError
 from footfall.messages.graph import LAUNCHER, ClockSpec, Graph, Input, NodeSpec, Security, edges
+from footfall.messages.secure import new_keys
 from footfall.messages.topics import TOPICS
 
 MODULE = "footfall.nodes.map_server"
@@ -65,9 +66,9 @@ def test_shipped_launch_files_close(name: str, tmp_path: Path) -> None:
         ),
         ([CLOCK, node("a", required=False)], "is not required, but in lockstep the clock waits for it"),
         ([CLOCK, node("a", outputs={"map": "map"}, expose={"mpa": "tcp://*:7000"})], "did you mean 'map'?"),
-        ([CLOCK, node("a", outputs={"map": "map"}, expose={"map": "7000"})], "must be tcp://HOST:PORT"),
-        ([CLOCK, node("a", outputs={"map": "map"}, expose={"map": "tcp://0.0.0.0:7000"})], "`security`"),
-        ([CLOCK, node("a", outputs={"map": "map"}, expose={"map": "tcp://127.0.0.1:7000"})], "`security`"),
+        ([CLOCK, node("a", outputs={"map": "map"}, expose={"map": "7000"})], "must be like tcp://"),
+        ([CLOCK, node("a", outputs={"map": "map"}, expose={"map": "tcp://0.0.0.0:7000"})], "needs keys"),
+        ([CLOCK, node("a", outputs={"map": "map"}, expose={"map": "tcp://127.0.0.1:7000"})], "needs keys"),
     ],
 )
 def test_refused(nodes: list[NodeSpec], sentence: str) -> None:
@@ -77,22 +78,31 @@ def test_refused(nodes: list[NodeSpec], sentence: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_port_in_use_is_refused(tmp_path: Path) -> None:
-    key = tmp_path / "me.key_secret"
-    key.touch()
-    security = Security(str(key), str(tmp_path))
+def test_exposed_needs_a_free_port_and_good_keys(tmp_path: Path) -> None:
+    public, secret = new_keys(tmp_path / "own", "graph")
+    _, _ = new_keys(tmp_path / "friends", "friend")
+    keys = Security(str(secret), str(tmp_path / "friends"))
+
+    def exposed(address: str, security: Security) -> Graph:
+        publisher = node("a", outputs={"map": "map"}, expose={"map": address})
+        return complete(graph(CLOCK, publisher, security=security))
+
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
-        exposed = complete(
-            graph(CLOCK, node("a", outputs={"map": "map"}, expose={"map": address}), security=security)
-        )
         with pytest.raises(ConfigError, match=r"cannot listen on 127.0.0.1:.*in use"):
-            check(exposed, TOPICS)
-    check(exposed, TOPICS)
-    with pytest.raises(ConfigError, match="secret_key_file: no /gone"):
-        check(msgspec.structs.replace(exposed, security=Security("/gone", str(tmp_path))), TOPICS)
+            check(exposed(address, keys), TOPICS)
+    check(exposed(address, keys), TOPICS)
+    for wrong, sentence in (
+        (Security("/gone", keys.authorized_keys_dir), "no such file"),
+        (Security(str(public), keys.authorized_keys_dir), "holds no secret key"),
+        (Security(str(secret), str(tmp_path)), "so nobody could connect"),
+    ):
+        with pytest.raises(ConfigError, match=sentence):
+            check(exposed(address, wrong), TOPICS)
+    with pytest.raises(ConfigError, match="must be tcp://HOST:PORT"):
+        check(exposed("tcp://127.0.0.1:99999", keys), TOPICS)
 
 
 def test_deep_run_directory_is_refused() -> None:
