@@ -85,7 +85,8 @@ class CrowdWindows:
         if mirror:
             self._add_mirror_images()
         frames = self.present.shape[2]
-        now = torch.arange(config.history - 1, frames - config.horizon, stride)
+        first = config.history - 1
+        now = torch.arange(first, max(first, frames - config.horizon), stride)
         stays = self.present[:, :, now] & self.present[:, :, now + config.horizon]  # (S, N, W)
         index = stays.nonzero()
         self.index = torch.stack([index[:, 0], index[:, 1], now[index[:, 2]]], 1)  # (windows, 3)

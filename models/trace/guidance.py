@@ -1,0 +1,123 @@
+"""Test-time guidance: how gradients of the objectives bend the denoising (Rempe et al. 2023, sec. 3.1.2)."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from . import guidance_losses  # noqa: F401  registers the objectives
+from .objectives import Future, Objective
+
+
+class GuidanceError(ValueError):
+    """A guidance setting is out of range."""
+
+
+@dataclass(frozen=True)
+class Guidance:
+    """Where gradients are taken, and how far a step goes.
+
+    Attributes:
+        mode: `clean` is eq 6: the loss of the clean prediction, its gradient with respect to the noisy input,
+            through the network. `noisy` is eq 5: loss and gradient at the noisy mean. `direct` stays in the
+            space of clean actions, through the dynamics alone: many times cheaper, so it can afford several
+            steps.
+        scale: Of a step: `variance` times Sigma_k as printed, `unit` without it, or `polyak`: loss /
+            |gradient|^2,
+            the step to the zero of the linearised loss, which needs no tuning because every loss has
+            minimum 0.
+        strength: alpha; for `polyak` between 0 and 2.
+        inner_steps: Steps per denoising step in mode `direct`.
+        limit: Longest step of one sample's actions, root mean square over the horizon, in standard
+            deviations.
+    """
+
+    mode: Literal["clean", "noisy", "direct"] = "direct"
+    scale: Literal["variance", "unit", "polyak"] = "polyak"
+    strength: float = 1.0
+    inner_steps: int = 3
+    limit: float = 1.0
+
+    def __post_init__(self):
+        if self.mode not in ("clean", "noisy", "direct") or self.scale not in ("variance", "unit", "polyak"):
+            raise GuidanceError(f"there is no guidance mode {self.mode!r} with scale {self.scale!r}")
+        if self.strength < 0 or self.inner_steps < 1 or self.limit <= 0:
+            raise GuidanceError("guidance strength must be >= 0, inner_steps >= 1 and limit > 0")
+
+    def step(self, loss: Tensor, gradient: Tensor, variance: Tensor) -> Tensor:
+        """What is subtracted from the actions.
+
+        Args:
+            loss: (A, M) weighted losses.
+            gradient: (A, M, T, 2) of the summed losses.
+            variance: Sigma_k of the denoising step.
+        """
+        if self.scale == "polyak":
+            square = gradient.square().sum((2, 3))
+            step = gradient * (loss / square.clamp(min=1e-12))[..., None, None]
+        else:
+            step = gradient * (variance if self.scale == "variance" else 1.0)
+        step = self.strength * step
+        size = step.square().mean((2, 3), keepdim=True).sqrt()
+        return step * (self.limit / size.clamp(min=self.limit))
+
+
+FutureOf = Callable[[Tensor], Future]
+
+
+def total_loss(objectives: Sequence[Objective], future: Future) -> Tensor:
+    """(A, M) weighted sum of the losses."""
+    return torch.stack([o.weight * o.loss(future) for o in objectives]).sum(0)
+
+
+def guide_direct(
+    clean: Tensor, future_of: FutureOf, objectives: Sequence[Objective], guidance: Guidance, variance: Tensor
+) -> Tensor:
+    """Clean actions (A, M, T, 2) after cyclic steps for one objective after the other, through the dynamics.
+
+    With the Polyak scale these are projections: each step is the smallest change of the actions that meets
+    the linearised wish. A weight shortens (below 1) or lengthens the steps of an objective.
+    """
+    for _ in range(guidance.inner_steps):
+        for wish in objectives:
+            with torch.enable_grad():
+                actions = clean.detach().requires_grad_()
+                loss = wish.loss(future_of(actions))
+                gradient = gradient_of(loss, actions)
+            clean = clean - wish.weight * guidance.step(loss.detach(), gradient, variance)
+    return clean.detach()
+
+
+def gradient_of(loss: Tensor, actions: Tensor) -> Tensor:
+    """Gradient of the summed loss; zero where it does not depend on the actions or is not finite."""
+    if not loss.requires_grad:
+        return torch.zeros_like(actions)
+    (gradient,) = torch.autograd.grad(loss.sum(), actions, allow_unused=True, materialize_grads=True)
+    return gradient.nan_to_num(0.0, 0.0, 0.0)
+
+
+def choose_samples(losses: dict[str, Tensor], objectives: Sequence[Objective]) -> Tensor:
+    """Filtering (app. A.2.1): the sample with the lowest loss, per agent, or per scene if agents interact.
+
+    Args:
+        losses: (A, M) by objective name.
+        objectives: With their weights.
+
+    Returns:
+        (A,) sample numbers; sample 0 without objectives.
+    """
+    total = torch.stack([wish.weight * losses[label] for label, wish in labelled(objectives)]).sum(0)
+    if any(wish.joint for wish in objectives):
+        return total.sum(0).argmin().expand(len(total))
+    return total.argmin(1)
+
+
+def labelled(objectives: Sequence[Objective]) -> list[tuple[str, Objective]]:
+    """Objectives under unique labels: the name, numbered from the second of a kind on."""
+    labels: list[tuple[str, Objective]] = []
+    for wish in objectives:
+        same = sum(other.name == wish.name for _, other in labels)
+        labels.append((f"{wish.name}_{same + 1}" if same else wish.name, wish))
+    return labels

@@ -1,0 +1,200 @@
+"""The objectives of TRACE (Rempe et al. 2023, app. A.2.2) and a few more."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from .objectives import Future, objective, per_agent
+
+
+def distance_to(future: Future, goal: Tensor) -> tuple[Tensor, Tensor]:
+    """(A, M, T) distances to (A, 2) or (2,) goals [m], and (A, 1) who has one."""
+    goals, given = per_agent(goal, len(future.states))
+    return (future.positions - goals[:, :, None]).norm(dim=-1), given
+
+
+@objective("agent_avoid", joint=True)
+def agent_avoid(future: Future, buffer: float = 0.2) -> Tensor:
+    """Overlap of discs, 1 - d / (r_i + r_j + buffer), summed over time and other agents.
+
+    Args:
+        future: Of one scene.
+        buffer: Social distance that is kept beyond touching [m] (app. C.5).
+    """
+    p = future.positions.transpose(0, 1)  # (M, A, T, 2)
+    agents = len(future.states)
+    square = (p[:, :, None] - p[:, None]).square().sum(-1)  # (M, A, A, T)
+    reach = (future.radius[:, None] + future.radius + buffer)[..., None]
+    overlap = torch.relu(1 - (square + 1e-8).sqrt() / reach)
+    overlap = overlap.masked_fill(torch.eye(agents, dtype=torch.bool)[..., None], 0.0)
+    return overlap.sum((2, 3)).T
+
+
+@objective("obstacle_avoid")
+def obstacle_avoid(future: Future, buffer: float = 0.0) -> Tensor:
+    """Depth [m] of each disc inside obstacles, summed over time: the gradient is that of the distance field.
+
+    Args:
+        future: Of one scene.
+        buffer: Distance that is kept beyond touching [m].
+    """
+    reach = future.radius[:, None, None] + buffer
+    return torch.relu(reach - future.clearance(future.positions)).sum(-1)
+
+
+@objective("obstacle_avoid_points")
+def obstacle_avoid_points(future: Future, points: int = 10, buffer: float = 0.0) -> Tensor:
+    """The paper's loss: 1 - d_min / b summed over the body points that are embedded in an obstacle.
+
+    A grid of points covers the bounding box; d_min is the distance from an embedded point to the nearest
+    free point of the body, b the diagonal. Embedded points are detached: they count as part of the
+    obstacle. Steps at which the body is wholly free or wholly embedded give no gradient and are left out.
+
+    Args:
+        future: Of one scene.
+        points: Grid points along each side.
+        buffer: Added to all sides of the box [m].
+    """
+    side = torch.linspace(-1, 1, points)
+    grid = torch.stack(torch.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)  # (P, 2)
+    half = (future.radius + buffer)[:, None, None, None]
+    heading = future.states[..., 2, None]
+    along, across = grid[:, 0] * half, grid[:, 1] * half
+    offset = torch.stack(
+        [heading.cos() * along - heading.sin() * across, heading.sin() * along + heading.cos() * across], -1
+    )
+    body = future.positions[..., None, :] + offset  # (A, M, T, P, 2)
+    with torch.no_grad():
+        embedded = future.clearance(body) < 0
+        partial = embedded.any(-1) & ~embedded.all(-1)
+    index = partial.nonzero()
+    body, inside = body[partial], embedded[partial]  # (Q, P, 2), (Q, P)
+    apart = torch.cdist(body.detach(), body).masked_fill(inside[:, None], torch.inf)
+    diagonal = 2 * 2**0.5 * (future.radius + buffer)[index[:, 0], None]
+    loss = ((1 - apart.min(-1).values / diagonal) * inside).sum(-1)
+    total = future.states.new_zeros(future.states.shape[:3])
+    return total.index_put(tuple(index.unbind(1)), loss).sum(-1)
+
+
+@objective("waypoint_at")
+def waypoint_at(future: Future, goal: Tensor, time: Tensor | float) -> Tensor:
+    """Distance [m] to a goal at a time within the horizon.
+
+    Args:
+        future: Of one scene.
+        goal: (A, 2) world x, y [m].
+        time: (A,) seconds from now.
+    """
+    distance, given = distance_to(future, goal)
+    frame = _frame(future, time)
+    return distance.gather(2, frame.expand(-1, distance.shape[1], 1))[..., 0] * given
+
+
+@objective("waypoint")
+def waypoint(future: Future, goal: Tensor, temperature: float = 1.0) -> Tensor:
+    """Squared distance to a goal at whatever time the agent is nearest (eq 12-13), [m^2].
+
+    Args:
+        future: Of one scene.
+        goal: (A, 2) world x, y [m].
+        temperature: Of the soft minimum over time [m]; 1 is the paper's, towards 0 only the nearest state
+            counts.
+    """
+    distance, given = distance_to(future, goal)
+    share = torch.softmax(-distance / temperature, -1)
+    return (share * distance.square()).sum(-1) * given
+
+
+@objective("global_waypoint_at")
+def global_waypoint_at(
+    future: Future, goal: Tensor, time: Tensor | float, urgency: float = 0.7, speed: float = 1.25
+) -> Tensor:
+    """Be near enough to a goal for a time beyond the horizon (eq 14-16) [m]; within it, `waypoint_at`.
+
+    Args:
+        future: Of one scene.
+        goal: (A, 2) world x, y [m].
+        time: (A,) seconds from now.
+        urgency: 0 to 1, arrive earlier.
+        speed: Preferred speed [m/s].
+    """
+    distance, given = distance_to(future, goal)
+    due, _ = per_agent(time, len(future.states))
+    beyond = due > distance.shape[-1] * future.dt
+    far = torch.relu(distance[..., -1] - due * speed * (1 - urgency)) * given
+    return torch.where(beyond, far, waypoint_at(future, goal, time))
+
+
+@objective("global_waypoint")
+def global_waypoint(
+    future: Future, goal: Tensor, urgency: float = 0.7, speed: float = 1.25, temperature: float = 1.0
+) -> Tensor:
+    """Make progress towards a goal beyond the horizon (eq 17-20) [m]; within reach, `waypoint`.
+
+    Args:
+        future: Of one scene.
+        goal: (A, 2) world x, y [m].
+        urgency: 0 to 1, share of the distance the horizon allows.
+        speed: Preferred speed [m/s].
+        temperature: See `waypoint`.
+    """
+    distance, given = distance_to(future, goal)
+    goals, _ = per_agent(goal, len(future.states))
+    start = (future.now[:, None, :2] - goals).norm(dim=-1)  # (A, 1)
+    reach = distance.shape[-1] * future.dt * speed
+    behind = torch.relu(urgency * reach - (start - distance[..., -1])) * given
+    return torch.where(start > reach, behind, waypoint(future, goal, temperature))
+
+
+@objective("social_group", joint=True)
+def social_group(future: Future, group: Tensor, distance: float = 1.5, cohesion: float = 0.3) -> Tensor:
+    """Members keep a distance to the nearest other member of their group (eq 21), summed over time [m^2].
+
+    The first member of each group leads: others follow, it is not pulled.
+
+    Args:
+        future: Of one scene.
+        group: (A,) group number of each agent; negative walks alone.
+        distance: Social distance [m].
+        cohesion: Probability with which a member follows a random other member instead of the nearest.
+    """
+    group = torch.as_tensor(group)
+    agents, samples, steps = future.states.shape[:3]
+    mates = (group[:, None] == group) & (group[:, None] >= 0) & ~torch.eye(agents, dtype=torch.bool)
+    leads = (group[:, None] == group).to(torch.int8).argmax(1) == torch.arange(agents)
+    follows = (mates.any(1) & ~leads).float()[:, None]
+    p = future.positions.transpose(0, 1)
+    leader = leads[None, :, None, None]
+    p = torch.where(leader, p.detach(), p)
+    apart = ((p[:, :, None] - p[:, None]).square().sum(-1) + 1e-8).sqrt()  # (M, A, A, T)
+    nearest = apart.detach().masked_fill(~mates[..., None], torch.inf).argmin(2)  # (M, A, T)
+    generator = torch.Generator().manual_seed(future.seed)
+    choices = torch.where(mates.any(1, keepdim=True), mates.float(), torch.ones(()))
+    random = torch.multinomial(choices, samples * steps, replacement=True, generator=generator)
+    random = random.reshape(agents, samples, steps).transpose(0, 1)
+    strays = torch.rand(samples, agents, steps, generator=generator) < cohesion
+    mate = torch.where(strays, random, nearest)
+    error = (apart.gather(2, mate[:, :, None])[:, :, 0] - distance).square()
+    return error.sum(-1).T * follows
+
+
+@objective("target_speed")
+def target_speed(future: Future, speed: Tensor | float) -> Tensor:
+    """Squared deviation from a walking speed (A,) [m/s], summed over time."""
+    wanted, given = per_agent(speed, len(future.states))
+    return (future.states[..., 3] - wanted[..., None]).square().sum(-1) * given
+
+
+def learned_value(value: Callable[[Tensor], Tensor]) -> Callable[[Future], Tensor]:
+    """A loss exp(-V) from a value function of plans (app. A.2.2); register the result with `objective`.
+
+    Args:
+        value: Maps states (A, M, T, 4) to expected rewards (A, M), differentiably.
+    """
+    return lambda future: torch.exp(-value(future.states))
+
+
+def _frame(future: Future, time: Tensor | float) -> Tensor:
+    due, _ = per_agent(time, len(future.states))
+    return ((due / future.dt).round().long() - 1).clamp(0, future.states.shape[2] - 1)[..., None]

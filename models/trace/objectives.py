@@ -1,0 +1,144 @@
+"""What a user may ask of a trajectory: one small differentiable loss per objective, found by name.
+
+A loss takes a `Future` and its own parameters and returns (A, M): a sum for each agent and sample, zero
+when the wish is met. Nothing is averaged over agents or samples, so a weight means the same for one agent
+and for a hundred. A new objective is one decorated function:
+
+    @objective("stay_left")
+    def stay_left(future: Future, y: float = 0.0) -> Tensor:
+        return torch.relu(y - future.positions[..., 1]).sum(-1)
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .scene_map import SceneMaps
+
+
+class ObjectiveError(ValueError):
+    """An objective that does not exist, or parameters that do not fit it."""
+
+
+@dataclass(frozen=True)
+class Future:
+    """Predicted futures of the A agents of one scene, M samples each; sample m of everybody is one scene.
+
+    Attributes:
+        states: (A, M, T, 4) world x, y [m], heading [rad], speed [m/s]; the first one is one `dt` from now.
+        now: (A, 4) current states.
+        radius: (A,) discs of the agents [m].
+        dt: Time between states [s].
+        maps: Signed distance fields; the agents stand on the map of number `scene`, None where unknown.
+        scene: Number of the agents' map.
+        seed: Of objectives that draw something; constant over one plan.
+    """
+
+    states: Tensor
+    now: Tensor
+    radius: Tensor
+    dt: float = 0.1
+    maps: SceneMaps | None = None
+    scene: int = 0
+    seed: int = 0
+
+    @property
+    def positions(self) -> Tensor:
+        """(A, M, T, 2) world x, y [m]."""
+        return self.states[..., :2]
+
+    def clearance(self, points: Tensor) -> Tensor:
+        """Signed distance [m] from world points (..., 2) to the obstacles; far away without a map."""
+        if self.maps is None:
+            return torch.full_like(points[..., 0], 1e3)
+        flat = points.reshape(1, -1, 2)
+        scene = torch.tensor([self.scene])
+        return self.maps.layer("obstacle").sample(flat, scene).reshape(points.shape[:-1])
+
+
+Loss = Callable[..., Tensor]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A registered objective: its loss, and whether agents of a scene depend on each other through it."""
+
+    loss: Loss
+    joint: bool
+
+
+OBJECTIVES: dict[str, Kind] = {}
+
+
+def objective(name: str, joint: bool = False) -> Callable[[Loss], Loss]:
+    """Register a loss under a name.
+
+    Args:
+        name: What users write.
+        joint: The loss of one agent depends on the futures of others; then samples are chosen for a whole
+            scene.
+    """
+
+    def register(loss: Loss) -> Loss:
+        OBJECTIVES[name] = Kind(loss, joint)
+        return loss
+
+    return register
+
+
+@dataclass(frozen=True)
+class Objective:
+    """One wish.
+
+    Attributes:
+        name: Of a registered loss.
+        parameters: Handed to the loss by name. A (A, ...) tensor with NaN rows leaves those agents out.
+        weight: Its share when several objectives pull.
+
+    Raises:
+        ObjectiveError: When no loss has this name or the weight is negative.
+    """
+
+    name: str
+    parameters: dict[str, Any] = field(default_factory=dict)
+    weight: float = 1.0
+
+    def __post_init__(self):
+        if self.name not in OBJECTIVES:
+            close = get_close_matches(self.name, OBJECTIVES, 1)
+            hint = (
+                f"; did you mean {close[0]!r}?" if close else f"; there are {', '.join(sorted(OBJECTIVES))}"
+            )
+            raise ObjectiveError(f"there is no objective {self.name!r}{hint}")
+        if not self.weight >= 0:
+            raise ObjectiveError(f"the weight of {self.name!r} must not be negative, it is {self.weight}")
+
+    @property
+    def joint(self) -> bool:
+        """Whether agents depend on each other through it."""
+        return OBJECTIVES[self.name].joint
+
+    def loss(self, future: Future) -> Tensor:
+        """(A, M) unweighted losses.
+
+        Raises:
+            ObjectiveError: When the parameters do not fit the loss.
+        """
+        try:
+            return OBJECTIVES[self.name].loss(future, **self.parameters)
+        except TypeError as error:
+            raise ObjectiveError(f"objective {self.name!r}: {error}") from error
+
+
+def per_agent(values: Tensor | float, agents: int) -> tuple[Tensor, Tensor]:
+    """A parameter for each agent (A, 1, 1, ...), and (A, 1) whether the agent has one (no NaN)."""
+    value = torch.as_tensor(values, dtype=torch.float32)
+    if value.ndim == 0 or len(value) != agents:
+        value = value.expand(agents, *value.shape)
+    given = torch.isfinite(value.reshape(agents, -1)).all(-1)
+    value = torch.where(given.reshape(-1, *[1] * (value.ndim - 1)), value, 0.0)
+    return value.reshape(agents, 1, *value.shape[1:]), given[:, None]

@@ -1,0 +1,273 @@
+"""Plans for all agents of a scene at once: encode, denoise jointly under guidance, choose a sample."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..planning import Futures
+from .context import Context, scene_context
+from .diffusion import DDIM, DDPM, CosineSchedule, DPMSolver2M, Solver
+from .dynamics import rollout
+from .guidance import (
+    FutureOf,
+    Guidance,
+    choose_samples,
+    gradient_of,
+    guide_direct,
+    labelled,
+    total_loss,
+)
+from .network import Encoding, Trace
+from .objectives import Future, Objective
+from .scene_map import SceneMaps
+from .weights import load_model
+
+WEIGHTS = Path(__file__).parent.parent / "weights" / "trace_compact.safetensors"
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How futures are drawn.
+
+    Attributes:
+        solver: `dpm` (second order), `ddim` (first order) or `ddpm` (all steps, stochastic).
+        steps: Denoising steps of `dpm` and `ddim`.
+        samples: Futures per agent.
+        context_weight: w of classifier-free sampling (eq 4); 0 needs a single network call.
+        reduced: Network in bfloat16.
+        keep: With a previous plan: noise level from which it is denoised again, as a share of all steps.
+    """
+
+    solver: Literal["dpm", "ddim", "ddpm"] = "dpm"
+    steps: int = 8
+    samples: int = 10
+    context_weight: float = 0.0
+    reduced: bool = True
+    keep: float = 0.6
+
+    def make_solver(self, schedule: CosineSchedule) -> Solver:
+        """A fresh solver.
+
+        Raises:
+            ValueError: On an unknown solver or more steps than the schedule has.
+        """
+        match self.solver:
+            case "dpm":
+                return DPMSolver2M(schedule, self.steps)
+            case "ddim":
+                return DDIM(schedule, self.steps)
+            case "ddpm":
+                return DDPM(schedule)
+        raise ValueError(f"there is no solver {self.solver!r}; there are dpm, ddim and ddpm")
+
+
+@dataclass(frozen=True)
+class TraceFutures(Futures):
+    """Futures and the normalised actions (A, S, horizon, 2) behind them, for the next plan to start with."""
+
+    actions: Tensor = field(default_factory=lambda: torch.empty(0))
+
+
+class TracePlanner:
+    """TRACE as a planner.
+
+    Args:
+        trace: Trained denoiser.
+        sampling: How futures are drawn.
+        guidance: How objectives bend them.
+    """
+
+    def __init__(self, trace: Trace, sampling: Sampling | None = None, guidance: Guidance | None = None):
+        self.trace, self.config = trace, trace.config
+        self.schedule = CosineSchedule(trace.config.diffusion_steps)
+        self.sampling, self.guidance = sampling or Sampling(), guidance or Guidance()
+
+    @classmethod
+    def load(
+        cls, path: Path = WEIGHTS, sampling: Sampling | None = None, guidance: Guidance | None = None
+    ) -> "TracePlanner":
+        """A planner with trained weights; those shipped with the package by default.
+
+        Raises:
+            WeightsError: When the file is missing or broken.
+        """
+        return cls(load_model(path)[0], sampling, guidance)
+
+    def plan(
+        self,
+        states: np.ndarray | Tensor,
+        size: np.ndarray | Tensor,
+        maps: SceneMaps | None = None,
+        objectives: Sequence[Objective] = (),
+        present: np.ndarray | Tensor | None = None,
+        previous: TraceFutures | None = None,
+        elapsed: int = 10,
+        seed: int = 0,
+    ) -> TraceFutures:
+        """Futures of all A agents of a scene.
+
+        Args:
+            states: (A, 31, 4) world x, y [m], heading [rad], speed [m/s] at 10 Hz; the last frame is now.
+            size: (A, 2) length and width of the agents [m]; the disc that avoids things is half the larger
+                one.
+            maps: One scene's map, or None where it is unknown.
+            objectives: What is asked; see `objectives.OBJECTIVES`.
+            present: (A, 31) false where an agent was not seen.
+            previous: The last plan of the same agents: saves denoising steps and keeps plans from flickering.
+            elapsed: Frames since `previous` was made.
+            seed: Same seed, same plan.
+
+        Raises:
+            ValueError: On wrong shapes, values that are not finite, or a previous plan of other agents.
+            ObjectiveError: On parameters that do not fit an objective.
+        """
+        states, size = _float(states), _float(size)
+        if states.ndim == 3 and states.shape[1] != self.config.history:
+            raise ValueError(f"states must hold {self.config.history} frames an agent, not {states.shape[1]}")
+        seen = None if present is None else torch.as_tensor(present, dtype=torch.bool)
+        config = self.config
+        context = scene_context(states, size, maps, seen, config.max_neighbors, config.neighbor_radius)
+        now, radius = states[:, -1], size.max(1).values / 2
+
+        def future_of(actions: Tensor) -> Future:
+            return Future(self.world_states(actions, now), now, radius, config.dt, maps, seed=seed)
+
+        return self.plan_context(context, future_of, objectives, previous, elapsed, seed)
+
+    def plan_context(
+        self,
+        context: Context,
+        future_of: FutureOf,
+        objectives: Sequence[Objective] = (),
+        previous: TraceFutures | None = None,
+        elapsed: int = 10,
+        seed: int = 0,
+    ) -> TraceFutures:
+        """The same for a context that is already there, and a function from actions to futures."""
+        generator = torch.Generator().manual_seed(seed)
+        start = None if previous is None else self._shifted(previous, len(context), elapsed)
+        actions = self.sample(context, future_of, objectives, generator, start)
+        with torch.no_grad():
+            future = future_of(actions)
+            losses = {label: wish.loss(future) for label, wish in labelled(objectives)}
+        agents = len(context)
+        chosen = choose_samples(losses, objectives) if objectives else torch.zeros(agents, dtype=torch.long)
+        states = future.states.double().numpy()
+        return TraceFutures(
+            positions=states[..., :2],
+            headings=states[..., 2],
+            speeds=states[..., 3],
+            chosen=chosen.numpy(),
+            losses={label: loss.double().numpy() for label, loss in losses.items()},
+            actions=actions,
+        )
+
+    def world_states(self, actions: Tensor, now: Tensor) -> Tensor:
+        """World states (A, M, plan, 4) from normalised actions (A, M, horizon, 2) and states now (A, 4)."""
+        actions = actions[:, :, : self.config.plan]
+        actions = actions * self.trace.trajectory_std[4:] + self.trace.trajectory_mean[4:]
+        return rollout(now[:, None], actions, self.config.dt)
+
+    def sample(
+        self,
+        context: Context,
+        future_of: FutureOf,
+        objectives: Sequence[Objective],
+        generator: torch.Generator,
+        start: Tensor | None = None,
+    ) -> Tensor:
+        """Denoise all samples of all agents together: (A, M, horizon, 2) normalised actions.
+
+        Args:
+            context: A agents.
+            future_of: From actions to what the objectives look at.
+            objectives: What is asked.
+            generator: Draws the noise.
+            start: (A, M, horizon, 2) actions to start from, noised part of the way only.
+        """
+        sampling, shape = self.sampling, (len(context), self.sampling.samples, self.config.horizon, 2)
+        solver = sampling.make_solver(self.schedule)
+        noise = torch.randn(shape, generator=generator)
+        encodings = self._encode(context)
+        first = 0
+        if start is not None:
+            level = sampling.keep * (len(self.schedule) - 1)
+            first = next((i for i, k in enumerate(solver.timesteps) if k <= level), len(solver.timesteps) - 1)
+            a = self.schedule.alphas_cumprod[solver.timesteps[first]]
+            noise = a.sqrt() * start + (1 - a).sqrt() * noise
+        noisy = noise
+        for i in range(first, len(solver.timesteps)):
+            k = solver.timesteps[i]
+            clean, shift = self._guided(noisy, k, encodings, future_of, objectives)
+            noisy = solver.step(clean, noisy, i, generator) - shift
+        return noisy
+
+    def _guided(
+        self,
+        noisy: Tensor,
+        k: int,
+        encodings: list[Encoding],
+        future_of: FutureOf,
+        objectives: Sequence[Objective],
+    ) -> tuple[Tensor, Tensor | float]:
+        """Guided clean actions, and what guidance takes off the next noisy ones."""
+        guidance = self.guidance
+        if not objectives:
+            return self._predict(noisy, k, encodings), 0.0
+        variance = self.schedule.posterior(noisy, noisy, k)[1]
+        if guidance.mode == "clean":
+            with torch.enable_grad():
+                noisy = noisy.detach().requires_grad_()
+                clean = self._predict(noisy, k, encodings)
+                loss = total_loss(objectives, future_of(clean))
+                gradient = gradient_of(loss, noisy)
+            return clean.detach() - guidance.step(loss.detach(), gradient, variance), 0.0
+        clean = self._predict(noisy, k, encodings)
+        if guidance.mode == "direct":
+            return guide_direct(clean, future_of, objectives, guidance, variance), 0.0
+        with torch.enable_grad():
+            mean = self.schedule.posterior(clean, noisy, k)[0].detach().requires_grad_()
+            loss = total_loss(objectives, future_of(mean))
+            gradient = gradient_of(loss, mean)
+        return clean, guidance.step(loss.detach(), gradient, variance)
+
+    def _encode(self, context: Context) -> list[Encoding]:
+        """The conditional encoding, and the unconditional one where it is mixed in; a row per sample."""
+        contexts = [context]
+        if self.sampling.context_weight:
+            contexts.append(context.unconditional())
+        with torch.no_grad(), self._precision():
+            return [self.trace.encode(c).repeat(self.sampling.samples) for c in contexts]
+
+    def _predict(self, noisy: Tensor, k: int, encodings: list[Encoding]) -> Tensor:
+        rows = noisy.flatten(0, 1)
+        steps = torch.full((len(rows),), k)
+        with torch.set_grad_enabled(noisy.requires_grad), self._precision():
+            clean = [self.trace(rows, steps, e).float().reshape(noisy.shape) for e in encodings]
+        if len(clean) == 1:
+            return clean[0]
+        return self.schedule.classifier_free(clean[0], clean[1], noisy, k, self.sampling.context_weight)
+
+    def _precision(self) -> Any:
+        return torch.autocast("cpu", torch.bfloat16, enabled=self.sampling.reduced)
+
+    def _shifted(self, previous: TraceFutures, agents: int, elapsed: int) -> Tensor:
+        """The chosen actions of the last plan, moved on in time, for every sample; zero after their end."""
+        if len(previous.actions) != agents:
+            raise ValueError(f"the previous plan is of {len(previous.actions)} agents, not of {agents}")
+        if elapsed < 0:
+            raise ValueError(f"elapsed must not be negative, it is {elapsed}")
+        chosen = previous.actions[torch.arange(agents), torch.as_tensor(previous.chosen)]  # (A, horizon, 2)
+        horizon = chosen.shape[1]
+        rest = (-self.trace.trajectory_mean[4:] / self.trace.trajectory_std[4:]).expand(agents, horizon, 2)
+        shifted = torch.cat([chosen[:, min(elapsed, horizon) :], rest], 1)[:, :horizon]
+        return shifted[:, None].expand(-1, self.sampling.samples, -1, -1)
+
+
+def _float(values: np.ndarray | Tensor) -> Tensor:
+    return torch.as_tensor(np.asarray(values), dtype=torch.float32)

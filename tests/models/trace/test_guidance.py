@@ -1,0 +1,86 @@
+import pytest
+import torch
+
+from footfall.models.trace.dynamics import rollout
+from footfall.models.trace.guidance import Guidance, GuidanceError, choose_samples, guide_direct
+from footfall.models.trace.objectives import Future, Objective
+
+NOW = torch.tensor([[0.0, 0.0, 0.0, 1.2]])
+
+
+def future_of(actions):
+    agents = len(actions)
+    now = NOW.expand(agents, 4).clone()
+    now[:, 1] = 3.0 * torch.arange(agents)
+    return Future(rollout(now[:, None], actions * 0.3, 0.1), now, torch.full((agents,), 0.4))
+
+
+def test_polyak_step_meets_a_linear_wish_at_once():
+    target = torch.randn(3, 4, 5, 2)
+    normal = torch.randn(5, 2)
+    actions = torch.randn(3, 4, 5, 2, requires_grad=True)
+    loss = torch.relu(((actions - target) * normal).sum((2, 3)))
+    (gradient,) = torch.autograd.grad(loss.sum(), actions)
+    step = Guidance(limit=100.0).step(loss.detach(), gradient, torch.tensor(1.0))
+    after = ((actions - step - target) * normal).sum((2, 3))
+    assert torch.allclose(after[loss > 0], torch.zeros(1), atol=1e-4)
+    assert step[loss == 0].abs().sum() == 0
+
+
+def test_variance_scale_is_eq_6():
+    gradient = torch.randn(2, 3, 5, 2)
+    guidance = Guidance(mode="clean", scale="variance", strength=7.0, limit=100.0)
+    step = guidance.step(torch.ones(2, 3), gradient, torch.tensor(0.02))
+    assert torch.allclose(step, 7 * 0.02 * gradient)
+    unit = Guidance(mode="clean", scale="unit", strength=7.0, limit=100.0)
+    assert torch.allclose(unit.step(torch.ones(2, 3), gradient, torch.tensor(0.02)), 7 * gradient)
+
+
+def test_steps_are_limited_sample_by_sample():
+    gradient = torch.ones(1, 2, 5, 2)
+    gradient[0, 1] *= 0.001
+    step = Guidance(scale="unit", strength=100.0, limit=0.5).step(
+        torch.ones(1, 2), gradient, torch.tensor(1.0)
+    )
+    assert step[0, 0].square().mean().sqrt().item() == pytest.approx(0.5)
+    assert step[0, 1].square().mean().sqrt().item() == pytest.approx(0.1)
+
+
+def test_direct_guidance_reaches_the_waypoint_with_little_change():
+    goal = torch.tensor([[4.0, 1.5]])
+    wish = [Objective("waypoint", {"goal": goal, "temperature": 0.05})]
+    clean = guide_direct(
+        torch.zeros(1, 5, 50, 2), future_of, wish, Guidance(inner_steps=20), torch.tensor(0.0)
+    )
+    nearest = (future_of(clean).positions - goal[:, None, None]).norm(dim=-1).min(-1).values
+    assert nearest.max() < 0.1
+    assert clean.square().mean().sqrt() < 1.0
+
+
+def test_direct_guidance_parts_people():
+    def side_by_side(actions):
+        now = torch.tensor([[0.0, 0.0, 0.0, 1.2], [0.0, 0.5, 0.0, 1.2]])
+        return Future(rollout(now[:, None], actions * 0.3, 0.1), now, torch.full((2,), 0.4))
+
+    wish = [Objective("agent_avoid")]
+    before = wish[0].loss(side_by_side(torch.zeros(2, 3, 50, 2)))
+    clean = guide_direct(torch.zeros(2, 3, 50, 2), side_by_side, wish, Guidance(), torch.tensor(0.0))
+    assert wish[0].loss(side_by_side(clean)).max() < 0.35 * before.min()
+
+
+def test_filtering_is_per_agent_or_per_scene():
+    alone, joint = Objective("waypoint", {"goal": [0.0, 0.0]}), Objective("agent_avoid")
+    loss = torch.tensor([[3.0, 1.0, 2.0], [0.0, 5.0, 1.0]])
+    assert choose_samples({"waypoint": loss}, [alone]).tolist() == [1, 0]
+    none = torch.zeros(2, 3)
+    both = {"waypoint": loss, "agent_avoid": none}
+    assert choose_samples(both, [alone, joint]).tolist() == [0, 0]  # sums 3, 6, 3: the first
+    weighted = [alone, Objective("agent_avoid", weight=2.0)]
+    crash = {"waypoint": loss, "agent_avoid": torch.tensor([[1.0, 0.0, 0.0]] * 2)}
+    assert choose_samples(crash, weighted).tolist() == [2, 2]
+
+
+@pytest.mark.parametrize("bad", [{"strength": -1.0}, {"inner_steps": 0}, {"mode": "dirty"}, {"limit": 0.0}])
+def test_bad_settings_are_refused(bad):
+    with pytest.raises(GuidanceError):
+        Guidance(**bad)

@@ -1,0 +1,179 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from footfall.models.trace.config import COMPACT, PAPER, TraceConfig
+from footfall.models.trace.context import ego_context, to_frame
+from footfall.models.trace.network import Trace, crowd_field
+from footfall.models.trace.scene_map import SceneMaps
+from footfall.models.trace.weights import WeightsError, load_model, save_model, save_tensors
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def maps(scenes=2):
+    return SceneMaps(torch.randn(scenes, 1, 40, 40).cumsum(2) / 4, torch.full((scenes, 2), -4.0), 0.2)
+
+
+def context(agents=3, neighbors=2, seed=0, turn=0.0):
+    torch.manual_seed(seed)
+    states, near = torch.randn(agents, 31, 4), torch.randn(agents, neighbors, 31, 4)
+    known, around = (
+        torch.ones(agents, 31, dtype=torch.bool),
+        torch.ones(agents, neighbors, 31, dtype=torch.bool),
+    )
+    if turn:
+        pose = torch.tensor([[0.0, 0.0, -turn]])
+        for s in (states, near):
+            s[..., :2] = to_frame(s[None, ..., :2], pose)[0]
+            s[..., 2] += turn
+    boxes = torch.full((agents, 2), 0.8), torch.full((agents, neighbors, 2), 0.8)
+    return ego_context(
+        (states, known, boxes[0]),
+        (near, around, boxes[1]),
+        None if turn else maps(),
+        torch.arange(agents) % 2,
+    )
+
+
+def without_map(c):
+    return replace(c, maps=None, map_known=torch.zeros(len(c), dtype=torch.bool))
+
+
+def run(model, c, seed=1):
+    torch.manual_seed(seed)
+    noisy, k = torch.randn(len(c), model.config.horizon, 2), torch.arange(len(c)) * 30
+    with torch.no_grad():
+        return model(noisy, k, model.encode(c))
+
+
+def test_paper_network_has_the_papers_size():
+    model = Trace(PAPER).eval()
+    assert sum(p.numel() for p in model.unet.parameters()) == pytest.approx(4.3e6, rel=0.02)
+    c = context(2)
+    with torch.no_grad():
+        features = model.map_encoder.encode(c)
+        assert features.grid is not None and features.grid.shape == (2, 32, 56, 56)
+        assert model.map_encoder.query(features, torch.zeros(2, 52, 2)).shape == (2, 52, 32)
+        encoding = model.encode(c)
+        assert encoding.condition.shape == (2, 256)
+        assert model(torch.randn(2, 52, 2), torch.tensor([3, 99]), encoding).shape == (2, 52, 2)
+
+
+def test_paper_raster_looks_14_m_ahead_and_is_grey_where_unknown():
+    encoder = Trace(PAPER).map_encoder
+    field = SceneMaps(
+        torch.linspace(-20, 20, 401).expand(1, 1, 401, 401).contiguous(), torch.full((1, 2), -20.0), 0.1
+    )
+    states = torch.zeros(2, 31, 4)
+    c = ego_context(
+        (states, torch.ones(2, 31, dtype=torch.bool), torch.ones(2, 2)),
+        (torch.zeros(2, 0, 31, 4), torch.zeros(2, 0, 31, dtype=torch.bool), torch.zeros(2, 0, 2)),
+        field,
+        torch.zeros(2, dtype=torch.long),
+        torch.tensor([True, False]),
+    )
+    raster = encoder.raster(c)
+    assert raster.shape == (2, 2, 224, 224)
+    assert (raster[1] == 0.5).all()
+    behind = raster[0, 1].mean(1)  # the obstacle layer is solid at x < 0: the rows behind the agent
+    assert behind.sum().item() == pytest.approx(12 * 14 / 3, abs=1)
+    assert torch.equal(raster[0, 0], 1 - raster[0, 1])
+
+
+@pytest.mark.parametrize("config", [COMPACT, PAPER], ids=lambda c: c.name)
+def test_prediction_does_not_depend_on_the_world_frame(config):
+    model = Trace(config).eval()
+    assert torch.allclose(run(model, without_map(context())), run(model, context(turn=0.7)), atol=2e-4)
+
+
+def test_agents_do_not_leak_into_each_other():
+    model = Trace(COMPACT).eval()
+    c = context(4)
+    whole = run(model, c)
+    changed = replace(c, ego=c.ego.clone(), neighbors=c.neighbors.clone())
+    changed.ego[2] += 1
+    changed.neighbors[2] += 1
+    other = run(model, changed)
+    assert torch.allclose(whole[[0, 1, 3]], other[[0, 1, 3]], atol=1e-5)
+    assert (whole[2] - other[2]).abs().max() > 1e-4
+
+
+def test_neighbor_order_and_padding_do_not_matter():
+    model = Trace(COMPACT).eval()
+    c = context(3, 3)
+    padded = torch.cat([c.neighbors.flip(1), torch.zeros(3, 2, 31, 8)], 1)
+    assert torch.allclose(run(model, c), run(model, replace(c, neighbors=padded)), atol=1e-5)
+    alone = run(model, replace(c, neighbors=c.neighbors[:, :0]))
+    assert torch.allclose(alone, run(model, replace(c, neighbors=torch.zeros_like(c.neighbors))), atol=1e-5)
+
+
+def test_a_dropped_map_is_an_unknown_map():
+    model = Trace(COMPACT).eval()
+    c = context()
+    dropped = c.drop(maps=torch.ones(3, dtype=torch.bool), neighbors=torch.zeros(3, dtype=torch.bool))
+    assert torch.allclose(run(model, dropped), run(model, without_map(c)), atol=1e-6)
+    assert (run(model, c) - run(model, dropped)).abs().max() > 1e-4
+
+
+def test_repeated_encoding_equals_repeated_agents():
+    model = Trace(COMPACT).eval()
+    c = context(2)
+    noisy = torch.randn(2, 1, 52, 2).expand(-1, 3, -1, -1).flatten(0, 1)
+    with torch.no_grad():
+        many = model(noisy, torch.full((6,), 40), model.encode(c).repeat(3)).unflatten(0, (2, 3))
+    assert torch.allclose(many[:, 0], many[:, 2], atol=1e-5)
+
+
+@pytest.mark.parametrize("config", [COMPACT, PAPER], ids=lambda c: c.name)
+def test_everything_learns(config):
+    model = Trace(config).train()
+    c = context(2)
+    model(torch.randn(2, 52, 2), torch.tensor([10, 60]), model.encode(c)).square().sum().backward()
+    still = [n for n, p in model.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
+    assert not [n for n in still if "bias" not in n]
+
+
+def test_crowd_field_of_one_neighbor():
+    positions, crowd = torch.zeros(1, 2, 2), torch.tensor([[[[0.5, 0.0, 1.0], [9.0, 9.0, 1.0]]]])
+    field = crowd_field(positions, crowd)
+    weight = torch.exp(torch.tensor(-0.5))
+    assert torch.allclose(field[0, 0, :3], torch.stack([weight, weight, torch.tensor(0.0)]))
+    assert field[0, 1].abs().max() < 1e-3
+    assert crowd_field(positions, crowd * torch.tensor([1.0, 1.0, 0.0])).abs().max() == 0
+
+
+def test_weights_return_as_they_were(tmp_path):
+    model = Trace(COMPACT)
+    model.trajectory_mean.add_(2)
+    save_model(tmp_path / "a.safetensors", model, {"step": 7})
+    again, facts = load_model(tmp_path / "a.safetensors")
+    assert facts["step"] == 7 and again.config == COMPACT
+    assert all(
+        torch.equal(a, b)
+        for a, b in zip(model.state_dict().values(), again.state_dict().values(), strict=True)
+    )
+
+
+def test_broken_weights_are_explained(tmp_path):
+    with pytest.raises(WeightsError, match="no weights at"):
+        load_model(tmp_path / "none.safetensors")
+    (tmp_path / "text.safetensors").write_text("hello, this is no tensor file")
+    with pytest.raises(WeightsError, match="holds no TRACE weights"):
+        load_model(tmp_path / "text.safetensors")
+    save_tensors(tmp_path / "other.safetensors", {"x": torch.zeros(1)}, {"config": COMPACT.to_dict()})
+    with pytest.raises(WeightsError, match="does not fit"):
+        load_model(tmp_path / "other.safetensors")
+
+
+def test_config_survives_json_and_names_unknown_fields():
+    assert TraceConfig.from_dict(PAPER.to_dict()) == PAPER
+    with pytest.raises(ValueError, match="no field 'colour'"):
+        TraceConfig.from_dict({"colour": 1})

@@ -1,0 +1,210 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from footfall.models.trace import guidance_losses  # noqa: F401  registers the objectives
+from footfall.models.trace.guidance_losses import learned_value
+from footfall.models.trace.objectives import OBJECTIVES, Future, Objective, ObjectiveError, objective
+from footfall.models.trace.scene_map import SceneMaps
+
+DT = 0.1
+NAN = float("nan")
+
+
+def walkers(starts, velocities, samples=1, steps=50, **kwargs):
+    """Futures of people at constant velocity."""
+    start, velocity = torch.tensor(starts, dtype=torch.float32), torch.tensor(velocities, dtype=torch.float32)
+    time = DT * torch.arange(1, steps + 1)
+    positions = start[:, None] + velocity[:, None] * time[:, None]
+    heading = torch.atan2(velocity[:, 1], velocity[:, 0])
+    rest = torch.stack([heading, velocity.norm(dim=1)], 1)
+    states = torch.cat([positions, rest[:, None].expand(-1, steps, -1)], -1)
+    states = states[:, None].repeat(1, samples, 1, 1).requires_grad_()
+    return Future(states, torch.cat([start, rest], 1), torch.full((len(start),), 0.4), **kwargs)
+
+
+def wall(x=3.0):
+    """A map that is solid beyond x."""
+    axis = np.arange(-2, 12, 0.1)
+    return SceneMaps.from_raster({"obstacle": np.meshgrid(axis, axis)[0] > x}, 0.1, (-2, -2))
+
+
+def loss(future, name, **parameters):
+    return Objective(name, parameters).loss(future)
+
+
+def gradient(future, name, **parameters):
+    (g,) = torch.autograd.grad(loss(future, name, **parameters).sum(), future.states)
+    return g[..., :2]
+
+
+def test_agent_avoid_is_the_overlap_of_the_discs():
+    future = walkers([[0, 0], [0.5, 0]], [[1, 0], [1, 0]])
+    expected = 50 * (1 - 0.5 / (0.4 + 0.4 + 0.2))
+    assert torch.allclose(loss(future, "agent_avoid"), torch.full((2, 1), expected), atol=1e-3)
+    assert loss(future, "agent_avoid", buffer=-0.3).abs().max() < 1e-4
+    g = gradient(future, "agent_avoid")
+    assert (g[0, ..., 0] > 0).all() and (g[1, ..., 0] < 0).all()  # downhill is apart
+
+
+def test_agent_avoid_compares_equal_samples_only():
+    future = walkers([[0, 0], [0.5, 0]], [[1, 0], [1, 0]], samples=2)
+    with torch.no_grad():
+        future.states[1, 1, :, 1] += 9
+    assert loss(future, "agent_avoid")[:, 0].min() > 1 and loss(future, "agent_avoid")[:, 1].max() == 0
+
+
+def test_a_weight_means_the_same_for_a_hundred_agents():
+    pair, crowd = [[0, 0], [0.5, 0]], [[i * 10.0, j * 10.0] for i in range(7) for j in range(7)][2:]
+    few = loss(walkers(pair, [[1, 0]] * 2), "agent_avoid")
+    many = loss(walkers(pair + crowd, [[1, 0]] * (2 + len(crowd)), samples=3), "agent_avoid")
+    assert torch.allclose(few, many[:2, :1])
+
+
+def test_obstacle_avoid_is_the_depth_of_the_disc():
+    future = walkers([[0, 0]], [[1, 0]], maps=wall())
+    depth = torch.relu(0.4 - (2.95 - future.positions[0, 0, :, 0])).sum()
+    assert loss(future, "obstacle_avoid").item() == pytest.approx(depth.item(), rel=0.02)
+    g = gradient(future, "obstacle_avoid")[0, 0]
+    assert (g[30:, 0] > 0).all() and g[:20].abs().sum() == 0
+
+
+def test_obstacle_points_pull_a_partly_embedded_body_out():
+    future = walkers([[2.9, 0]], [[0.01, 0]], steps=3, maps=wall())
+    assert loss(future, "obstacle_avoid_points").item() > 0
+    assert (gradient(future, "obstacle_avoid_points")[..., 0] > 0).all()
+    free = walkers([[0, 0]], [[0.1, 0]], maps=wall())
+    assert loss(free, "obstacle_avoid_points").item() == 0
+    assert loss(walkers([[0, 0]], [[0.1, 0]]), "obstacle_avoid_points").item() == 0  # no map
+
+
+def test_obstacle_points_equal_the_paper_formula_for_a_corner():
+    future = walkers([[2.6, 0]], [[0, 0]], steps=1, maps=wall())
+    side = torch.linspace(-0.4, 0.4, 10)
+    inside = side + 2.6 > 2.95
+    nearest_free = side[~inside].max()
+    per_row = (1 - (side[inside] - nearest_free) / math.hypot(0.8, 0.8)).sum()
+    assert loss(future, "obstacle_avoid_points").item() == pytest.approx(10 * per_row.item(), rel=1e-4)
+
+
+def test_waypoint_at_is_the_distance_at_that_time():
+    future = walkers([[0, 0]], [[1, 0]])
+    assert loss(future, "waypoint_at", goal=[3.0, 4.0], time=3.0).item() == pytest.approx(4.0)
+
+
+def test_waypoint_equals_eq_12():
+    future = walkers([[0, 0]], [[1, 0]])
+    d = (future.positions[0, 0] - torch.tensor([2.0, 1.0])).norm(dim=1)
+    share = torch.exp(-d) / torch.exp(-d).sum()
+    assert loss(future, "waypoint", goal=[2.0, 1.0]).item() == pytest.approx((share * d**2).sum().item())
+    sharp = loss(future, "waypoint", goal=[2.0, 1.0], temperature=0.01)
+    assert sharp.item() == pytest.approx(1.0, abs=0.02)
+
+
+def test_agents_without_a_goal_are_left_alone():
+    future = walkers([[0, 0], [0, 5]], [[1, 0], [1, 0]])
+    goals = torch.tensor([[2.0, 1.0], [NAN, NAN]])
+    for name in ("waypoint", "global_waypoint"):
+        assert loss(future, name, goal=goals)[:, 0].tolist()[1] == 0
+        assert torch.isfinite(gradient(future, name, goal=goals)).all()
+
+
+def test_global_waypoint_at_equals_eq_14_to_16():
+    future = walkers([[0, 0]], [[1, 0]])
+    target = 9 * 1.25 * (1 - 0.7)
+    assert loss(future, "global_waypoint_at", goal=[12.0, 0.0], time=9.0).item() == pytest.approx(7 - target)
+    assert loss(future, "global_waypoint_at", goal=[7.0, 0.0], time=9.0).item() == 0
+    assert loss(future, "global_waypoint_at", goal=[3.0, 4.0], time=3.0).item() == pytest.approx(4.0)
+
+
+def test_global_waypoint_equals_eq_17_to_20():
+    future = walkers([[0, 0]], [[0.5, 0]])
+    wanted = 0.7 * 50 * 0.1 * 1.25
+    assert loss(future, "global_waypoint", goal=[20.0, 0.0]).item() == pytest.approx(wanted - 2.5, rel=1e-4)
+    near = {"goal": [3.0, 0.0]}
+    assert torch.equal(loss(future, "global_waypoint", **near), loss(future, "waypoint", **near))
+
+
+def test_social_group_keeps_distance_and_spares_the_leader():
+    future = walkers([[0, 0], [0, 2], [9, 9]], [[1, 0], [1, 0], [1, 0]])
+    group = torch.tensor([4, 4, -1])
+    values = loss(future, "social_group", group=group, distance=1.5)
+    assert values[:, 0].tolist() == pytest.approx([0, 50 * 0.25, 0], rel=1e-3)
+    g = gradient(future, "social_group", group=group, distance=1.5)
+    assert g[0].abs().sum() == 0 and g[2].abs().sum() == 0 and (g[1, ..., 1] > 0).all()
+
+
+def test_cohesion_mixes_in_random_members():
+    future = walkers([[0, 0], [0, 1.5], [0, 6]], [[1, 0]] * 3, samples=40)
+    group = torch.zeros(3)
+    loose = loss(future, "social_group", group=group, cohesion=0.0)[1]
+    tight = loss(future, "social_group", group=group, cohesion=1.0)[1]
+    assert loose.max() < 1e-6
+    assert tight.mean().item() == pytest.approx(0.5 * 50 * 9, rel=0.1)  # half of the time the one 4.5 m away
+
+
+def test_target_speed():
+    future = walkers([[0, 0], [0, 5]], [[1, 0], [1, 0]])
+    assert loss(future, "target_speed", speed=torch.tensor([1.5, NAN]))[:, 0].tolist() == [12.5, 0.0]
+
+
+def test_learned_value():
+    future = walkers([[0, 0]], [[1, 0]])
+    value = learned_value(lambda states: states[..., -1, 0])
+    assert value(future).item() == pytest.approx(math.exp(-5.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [
+        ("agent_avoid", {}),
+        ("obstacle_avoid", {}),
+        ("waypoint_at", {"goal": [1.0, 1.0], "time": 2.0}),
+        ("waypoint", {"goal": [1.0, 1.0]}),
+        ("global_waypoint", {"goal": [30.0, 1.0]}),
+        ("social_group", {"group": torch.zeros(3), "cohesion": 0.5}),
+        ("target_speed", {"speed": 2.0}),
+    ],
+)
+def test_gradients_equal_finite_differences(name, parameters):
+    future = walkers(
+        [[0.1, 0.2], [0.8, 0.3], [1.03, 1.4]], [[1, 0.1], [0.9, 0.2], [1.1, -0.3]], steps=40, maps=wall(2.0)
+    )
+    g = torch.autograd.grad(loss(future, name, **parameters).sum(), future.states)[0]
+    direction = torch.randn(future.states.shape, generator=torch.Generator().manual_seed(0))
+    if name == "social_group":
+        direction[0] = 0  # the leader's own influence is cut on purpose
+    eps = 2e-3
+
+    def at(sign):
+        moved = (future.states + sign * eps * direction).detach()
+        return (
+            loss(Future(moved, future.now, future.radius, maps=future.maps), name, **parameters)
+            .double()
+            .sum()
+        )
+
+    numeric = (at(1) - at(-1)) / (2 * eps)
+    assert (g * direction).sum().item() == pytest.approx(numeric.item(), rel=0.03, abs=0.05)
+
+
+def test_unknown_names_and_parameters_are_explained():
+    with pytest.raises(ObjectiveError, match="did you mean 'waypoint'"):
+        Objective("waypiont")
+    with pytest.raises(ObjectiveError, match=r"'agent_avoid'.*margin"):
+        loss(walkers([[0, 0]], [[1, 0]]), "agent_avoid", margin=3)
+    with pytest.raises(ObjectiveError, match="negative"):
+        Objective("agent_avoid", weight=-1.0)
+
+
+def test_a_user_adds_an_objective():
+    @objective("stay_left")
+    def stay_left(future, y=0.0):
+        return torch.relu(y - future.positions[..., 1]).sum(-1)
+
+    try:
+        assert loss(walkers([[0, 0]], [[1, 0]]), "stay_left", y=0.5).item() == pytest.approx(25.0)
+    finally:
+        del OBJECTIVES["stay_left"]

@@ -1,0 +1,138 @@
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+
+from footfall.models.trace.diffusion import CosineSchedule
+from footfall.models.trace.guidance import Guidance
+from footfall.models.trace.objectives import Objective, ObjectiveError
+from footfall.models.trace.planner import WEIGHTS, Sampling, TracePlanner
+from footfall.models.trace.scene_map import SceneMaps
+from footfall.models.trace.weights import load_model
+
+GUIDANCES = [
+    Guidance(),
+    Guidance(mode="clean"),
+    Guidance(mode="clean", scale="variance", strength=0.5),
+    Guidance(mode="noisy"),
+]
+
+
+@pytest.fixture(scope="module")
+def trace():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield load_model(WEIGHTS)[0]
+    torch.set_num_threads(threads)
+
+
+def crowd(agents=3):
+    """People who walked along x at 1.2 m/s, two metres apart."""
+    states = np.zeros((agents, 31, 4))
+    states[:, :, 0] = 0.12 * np.arange(-30, 1)
+    states[:, :, 1] = 2.0 * np.arange(agents)[:, None]
+    states[:, :, 3] = 1.2
+    return states, np.full((agents, 2), 0.8)
+
+
+def test_plan_has_the_promised_shape(trace):
+    plan = TracePlanner(trace, Sampling(samples=4)).plan(*crowd())
+    assert plan.positions.shape == (3, 4, 50, 2)
+    assert plan.headings.shape == plan.speeds.shape == (3, 4, 50)
+    assert plan.chosen.tolist() == [0, 0, 0] and plan.losses == {}
+    assert np.isfinite(plan.positions).all()
+
+
+def test_states_of_a_plan_fit_each_other(trace):
+    plan = TracePlanner(trace, Sampling(samples=4)).plan(*crowd())
+    step = np.diff(plan.positions, axis=2)
+    forward = np.stack([np.cos(plan.headings), np.sin(plan.headings)], -1)[:, :, 1:]
+    assert np.allclose(step, 0.1 * plan.speeds[:, :, 1:, None] * forward, atol=1e-5)
+    states, _ = crowd()
+    first = plan.positions[:, :, 0] - states[:, None, -1, :2]
+    assert np.linalg.norm(first, axis=-1).max() < 0.1 * (1.2 + 10 * 0.1)
+
+
+def test_same_seed_same_plan(trace):
+    planner = TracePlanner(trace, Sampling(samples=2))
+    first, again, other = (planner.plan(*crowd(), seed=s).positions for s in (5, 5, 6))
+    assert np.array_equal(first, again) and not np.allclose(first, other)
+
+
+@pytest.mark.parametrize("guidance", GUIDANCES, ids=lambda g: f"{g.mode}-{g.scale}")
+def test_guidance_lowers_the_loss(trace, guidance):
+    goal = np.array([[4.0, 1.0], [4.0, 1.0], [4.0, 5.0]])
+    wishes = [Objective("waypoint", {"goal": torch.tensor(goal), "temperature": 0.3})]
+    sampling = Sampling(samples=4, reduced=False, solver="ddim", steps=8)
+    free = TracePlanner(trace, sampling, Guidance(strength=0.0)).plan(*crowd(), objectives=wishes)
+    guided = TracePlanner(trace, sampling, guidance).plan(*crowd(), objectives=wishes)
+    assert guided.losses["waypoint"].mean() < free.losses["waypoint"].mean()
+
+
+def test_everything_asked_at_once_is_nearly_met(trace):
+    axis = np.arange(-5, 15, 0.2)
+    x, y = np.meshgrid(axis, axis)
+    maps = SceneMaps.from_raster({"obstacle": (np.abs(x - 3) < 0.5) & (np.abs(y) < 0.6)}, 0.2, (-5, -5))
+    goal = torch.tensor([[5.0, 0.0], [5.0, 2.0], [5.0, 4.0]])
+    wishes = [
+        Objective("waypoint", {"goal": goal, "temperature": 0.2}),
+        Objective("agent_avoid"),
+        Objective("obstacle_avoid"),
+    ]
+    plan = TracePlanner(trace, Sampling(samples=10), Guidance(inner_steps=8)).plan(*crowd(), maps, wishes)
+    assert set(plan.losses) == {"waypoint", "agent_avoid", "obstacle_avoid"}
+    assert len(set(plan.chosen.tolist())) == 1  # agents interact: one sample for the scene
+    path = plan.positions[np.arange(3), plan.chosen]
+    assert np.linalg.norm(path - goal.numpy()[:, None], axis=-1).min(1).max() < 0.6
+    assert plan.losses["obstacle_avoid"][np.arange(3), plan.chosen].max() < 0.5
+
+
+def test_a_plan_of_many_agents_equals_plans_of_few(trace):
+    """Guidance is per agent and sample: no hidden mean over the batch."""
+    states, size = crowd(2)
+    states[1, :, 1] = 40.0  # too far to see each other
+    wishes = [Objective("target_speed", {"speed": 1.8})]
+    planner = TracePlanner(trace, Sampling(samples=4, reduced=False))
+    both = planner.plan(states, size, objectives=wishes)
+    alone = planner.plan(states[:1], size[:1], objectives=wishes)
+    assert np.allclose(both.positions[0], alone.positions[0], atol=1e-3)
+
+
+def test_classifier_free_weight_minus_one_ignores_the_crowd(trace):
+    states, size = crowd(3)
+    planner = TracePlanner(trace, Sampling(samples=2, context_weight=-1.0, reduced=False))
+    together = planner.plan(states, size).positions[0]
+    alone = planner.plan(states[:1], size[:1]).positions[0]
+    assert np.allclose(together, alone, atol=1e-3)
+
+
+def test_a_previous_plan_is_continued(trace):
+    states, size = crowd()
+    planner = TracePlanner(trace, Sampling(samples=3, keep=0.0, steps=20, reduced=False))
+    first = planner.plan(states, size, seed=1)
+    moved = states.copy()
+    chosen = first.positions[np.arange(3), first.chosen]
+    moved[:, -1, :2], moved[:, -1, 2] = chosen[:, 9], first.headings[np.arange(3), first.chosen, 9]
+    moved[:, -1, 3] = first.speeds[np.arange(3), first.chosen, 9]
+    again = planner.plan(moved, size, previous=first, elapsed=10, seed=2)
+    fresh = planner.plan(moved, size, seed=2)
+    drift, other = (
+        np.linalg.norm(p.positions[:, 0, :30] - chosen[:, 10:40], axis=-1).mean() for p in (again, fresh)
+    )
+    assert drift < other
+    with pytest.raises(ValueError, match="of 3 agents, not of 2"):
+        planner.plan(states[:2], size[:2], previous=first)
+
+
+def test_bad_input_is_named(trace):
+    planner = TracePlanner(trace, Sampling(samples=1))
+    states, size = crowd()
+    with pytest.raises(ValueError, match="31 frames"):
+        planner.plan(states[:, 1:], size)
+    with pytest.raises(ObjectiveError, match="goal"):
+        planner.plan(states, size, objectives=[Objective("waypoint")])
+    with pytest.raises(ValueError, match="no solver 'euler'"):
+        Sampling(solver=cast(Any, "euler")).make_solver(CosineSchedule())
+    with pytest.raises(ValueError, match="1 to 100 steps"):
+        TracePlanner(trace, Sampling(steps=200)).plan(states, size)
