@@ -1,0 +1,304 @@
+"""Where and when feet step: a stride clock that can stop, footholds on the coming path, arcs between them.
+
+A foot that stands keeps its place in the world to the last digit; the root moves over it. The place of the
+next landing is where the root will be when the hip passes over that foot, read off the present speed,
+acceleration and turn; on stairs the foot is shifted so as to stand on one tread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import gait_norms as norms
+from .gait_norms import smoothstep
+from .gait_state import State
+
+Array = NDArray[np.float64]
+HeightAt = Callable[[Array], Array]
+"""Ground height (m,) in m at world points (m, 2)."""
+
+_SIDES = np.array([1.0, -1.0])
+_OFFSETS = np.array([0.0, 0.5])  # phase of the left and the right foot
+_START_DISTANCE, _START_TURN = 0.07, 0.30  # m, rad: error of a standing foot that calls for a step
+_SETTLE_DISTANCE, _SETTLE_TURN = 0.03, 0.12  # and the error below which stepping ends
+_WALK_SPEED = 0.06  # m/s: slower counts as standing
+_FEET_APART = 0.10  # m: least lateral distance of a foothold from the other foot
+_SHIFTS = np.linspace(-0.15, 0.15, 7)  # m: footholds tried on broken ground
+_ROUGH = 0.015  # m: bump under the sole that counts as broken ground
+_STEEPEST = 0.9  # rise over run of a ground the foot lies on; steeper is an edge
+_PATH = np.array([0.12, 0.3, 0.5, 0.7, 0.88])  # shares of a swing at which it must clear the ground
+
+
+def stride(s: State) -> tuple[Array, Array]:
+    """Duration (n,) in s of the present stride and the share (n,) of it a foot stands."""
+    leg = -s["thigh"][:, 0, 2] - s["shank"][:, 0, 2]
+    duration = norms.stride_duration(s["speed"], leg)
+    # Small steps about one place, and steps that turn, are quick ones: at most 75 degrees a stride.
+    duration = np.minimum(duration, 1.2 + 0.7 * smoothstep(s["speed"] / 0.5))
+    duration = np.minimum(duration, np.maximum(1.3 / np.maximum(np.abs(s["turn_rate"]), 0.1), 0.6))
+    return duration, norms.stance_share(s["speed"], duration)
+
+
+def stand(s: State, position: Array, heading: Array, speed: Array, height_at: HeightAt) -> None:
+    """Put both feet of every row under a root that moves at ``speed``, as if it had walked there."""
+    direction = np.stack([np.cos(heading), np.sin(heading)], -1)
+    s["position"], s["velocity"], s["speed"] = position, speed[:, None] * direction, speed
+    s["acceleration"] = s["turn_rate"] = 0.0
+    duration, support = stride(s)
+    moving = speed > _WALK_SPEED
+    s["held"] = ~moving
+    s["vigour"] = np.where(moving, norms.vigour(speed), 0.0)
+    s["phase"] = np.where(moving, s["phase"], support) % 1.0
+    psi = (s["phase"][:, None] + _OFFSETS) % 1.0
+    s["planted"] = psi < support[:, None] + 1e-6 * s["held"][:, None]
+    swing = np.clip((psi - support[:, None]) / (1.0 - support[:, None]), 0.0, 1.0)
+    s["swing"] = np.where(s["planted"], 0.0, swing)
+
+    stood = np.minimum(psi, support[:, None]) - norms.CROSSING * support[:, None]
+    behind = np.where(moving, speed * duration, 0.0)[:, None] * stood
+    goal = _goals(s, position[:, None] - behind[..., None] * direction[:, None], heading[:, None] + 0.0 * psi)
+    s["goal"], s["shift"] = goal, 0.0
+    s["place"] = s["left_from"] = s["target"] = _settle(s, goal, height_at)
+    s["landing"] = 0.0
+    s["roll"] = profile_roll(s)
+    s["roll_off"] = norms.TOE_OFF_PITCH * s["vigour"][:, None]
+
+
+def advance(
+    s: State,
+    position: Array,
+    heading: Array,
+    speed: Array,
+    turn_rate: Array,
+    dt: float,
+    height_at: HeightAt,
+) -> None:
+    """Move the feet of every row on by ``dt`` s, given where the root is now and how fast it wants to go."""
+    _track(s, position, speed, turn_rate, dt)
+    duration, support = stride(s)
+    due = _advance_clock(s, heading, speed, duration, support, dt)
+    psi = (s["phase"][:, None] + _OFFSETS) % 1.0
+
+    landed = ~s["planted"] & (psi < np.minimum(support, 0.25)[:, None])
+    s["place"][landed] = s["target"][landed]
+    s["planted"] |= landed
+    s["planted"] &= ~due
+    s["left_from"][due] = s["place"][due]
+    toe_off = norms.TOE_OFF_PITCH * s["vigour"][:, None]
+    s["roll_off"] = np.where(due, np.maximum(s["roll"], toe_off), s["roll_off"])
+    s["swing"][due] = 0.0
+
+    swinging = ~s["planted"]
+    progress = np.clip((psi - support[:, None]) / (1.0 - support[:, None]), 0.0, 1.0)
+    s["swing"] = np.where(swinging, np.maximum(s["swing"], progress), 0.0)
+    wanted = np.where(s["held"], 0.0, np.maximum(norms.vigour(s["speed"]), 0.25))
+    s["vigour"] += (wanted - s["vigour"]) * (1.0 - np.exp(-dt / 0.15))
+    if swinging.any():
+        _aim(s, heading, psi, duration, support, height_at)
+        _swing(s, swinging, height_at)
+    s["roll"] = profile_roll(s)
+
+
+def _track(s: State, position: Array, speed: Array, turn_rate: Array, dt: float) -> None:
+    """Smooth the root's motion: velocity from its places, the rest from the command."""
+    quick, slow = 1.0 - np.exp(-dt / 0.08), 1.0 - np.exp(-dt / 0.25)
+    before = np.linalg.norm(s["velocity"], axis=-1)
+    s["velocity"] += quick * ((position - s["position"]) / dt - s["velocity"])
+    gained = (np.linalg.norm(s["velocity"], axis=-1) - before) / dt
+    s["acceleration"] += slow * (np.clip(gained, -4.0, 4.0) - s["acceleration"])
+    s["turn_rate"] += quick * (turn_rate - s["turn_rate"])
+    s["speed"] += quick * (speed - s["speed"])
+    s["position"] = position
+    s["time"] += dt
+
+
+def _advance_clock(
+    s: State, heading: Array, speed: Array, duration: Array, support: Array, dt: float
+) -> NDArray[np.bool_]:
+    """Advance the phase, or hold it while no step is called for; return the feet (n, 2) that lift now."""
+    home = _goals(
+        s, np.repeat(s["position"][:, None], 2, axis=1), heading[:, None] + np.zeros(2), standing=True
+    )
+    error = home - s["goal"]
+    distance, turn = np.hypot(error[..., 0], error[..., 1]), np.abs(wrap(error[..., 2]))
+    held = s["held"][:, None]
+    unease = np.maximum(
+        distance / np.where(held, _START_DISTANCE, _SETTLE_DISTANCE),
+        turn / np.where(held, _START_TURN, _SETTLE_TURN),
+    )
+    go = (speed > _WALK_SPEED) | (s["speed"] > 2.0 * _WALK_SPEED) | (unease > 1.0).any(1)
+
+    phase = s["phase"] + dt / duration
+    psi = (phase[:, None] + _OFFSETS) % 1.0
+    due = s["planted"] & (psi >= support[:, None])
+    first = np.argmax(due, axis=1)
+    # The foot that is worse off starts; on a turn the inner one.
+    unease = unease + 0.1 * (wrap(error[..., 2]) * _SIDES > 0.0)
+    swap = s["held"] & go & (np.argmax(unease, axis=1) != first) & (s["vigour"] < 0.1)
+    hold = due.any(1) & s["planted"].all(1) & ~go
+    phase = np.where(hold, support - _OFFSETS[first], phase + 0.5 * swap)
+    s["phase"] = phase % 1.0
+    s["held"] = hold
+    psi = (s["phase"][:, None] + _OFFSETS) % 1.0
+    return s["planted"] & (psi >= support[:, None]) & ~hold[:, None]
+
+
+def _goals(s: State, root: Array, heading: Array, standing: bool = False) -> Array:
+    """Places (n, 2, 3), x y yaw, of feet that carry a root at (n, 2, 2), heading (n, 2)."""
+    neutral = s["hip"] + s["thigh"] + s["shank"]
+    narrow = 1.0 if standing else 1.0 - 0.45 * smoothstep(s["speed"] / 0.6)[:, None]
+    ahead, left = neutral[..., 0], neutral[..., 1] * narrow
+    cos, sin = np.cos(heading), np.sin(heading)
+    x = root[..., 0] + cos * ahead - sin * left
+    y = root[..., 1] + sin * ahead + cos * left
+    return np.stack([x, y, heading + norms.TOE_OUT * _SIDES], axis=-1)
+
+
+def _aim(s: State, heading: Array, psi: Array, duration: Array, support: Array, height_at: HeightAt) -> None:
+    """Set the next foothold of each foot that is in the air."""
+    t = (1.0 - psi + norms.CROSSING * support[:, None]) * duration[:, None]
+    v = np.linalg.norm(s["velocity"], axis=-1)[:, None]
+    a = s["acceleration"][:, None]
+    stop = np.minimum(t, v / np.maximum(-a, 1e-3))  # do not predict walking backwards
+    burst = np.minimum(t, 0.35)  # nor an endless spurt
+    distance = np.where(a < 0.0, v * stop + 0.5 * a * stop**2, v * t + a * burst * (t - 0.5 * burst))
+    turn = np.clip(s["turn_rate"][:, None] * t, -1.2, 1.2)
+    course = np.arctan2(s["velocity"][:, 1], s["velocity"][:, 0])[:, None] + 0.5 * turn
+    distance = distance * np.sinc(0.5 * turn / np.pi)
+    root = s["position"][:, None] + distance[..., None] * np.stack([np.cos(course), np.sin(course)], -1)
+    goal = _goals(s, root, heading[:, None] + turn)
+
+    # Never step onto or across the other foot.
+    yaw = heading[:, None] + turn
+    other = s["place"][:, ::-1]
+    left = np.cos(yaw) * (goal[..., 1] - other[..., 1]) - np.sin(yaw) * (goal[..., 0] - other[..., 0])
+    out = _SIDES * np.maximum(_FEET_APART - _SIDES * left, 0.0) * s["planted"][:, ::-1]
+    goal[..., 0] -= np.sin(yaw) * out
+    goal[..., 1] += np.cos(yaw) * out
+
+    air = ~s["planted"]
+    s["goal"][air] = goal[air]
+    s["target"][air] = _settle(s, s["goal"], height_at)[air]
+    rise = s["target"][..., 2] - s["left_from"][:, ::-1, 2]
+    level = np.clip(1.0 - np.abs(rise) / 0.12, 0.0, 1.0)
+    strike = norms.HEEL_STRIKE_PITCH * s["vigour"][:, None] * (1.0 - 0.7 * norms.running(s["speed"]))[:, None]
+    landing = strike * level + 0.2 * smoothstep((-rise - 0.06) / 0.1)  # downstairs the ball lands first
+    s["landing"][air] = landing[air]
+
+
+def _settle(s: State, goal: Array, height_at: HeightAt) -> Array:
+    """Lay the soles on the ground: places (n, 2, 6) for goals (n, 2, 3)."""
+    heel, tip = s["heel"][..., 0], s["tip"][..., 0]
+    along = heel[..., None] + (tip - heel)[..., None] * np.linspace(0.0, 1.0, 5)  # (n, 2, 5)
+    cos, sin = np.cos(goal[..., 2]), np.sin(goal[..., 2])
+
+    def sample(ahead: Array, left: Array) -> Array:
+        xy = np.stack(
+            [
+                goal[..., :1] + cos[..., None] * ahead - sin[..., None] * left,
+                goal[..., 1:2] + sin[..., None] * ahead + cos[..., None] * left,
+            ],
+            axis=-1,
+        )
+        return height_at(xy.reshape(-1, 2)).reshape(ahead.shape)
+
+    def fit(height: Array) -> tuple[Array, Array]:
+        """Slope from heel to tip and how far the ground in between departs from it."""
+        slope = (height[..., -1] - height[..., 0]) / (tip - heel)
+        line = height[..., :1] + slope[..., None] * (along - heel[..., None])
+        rough = np.abs(height - line).max(-1)
+        return slope, np.where(np.abs(slope) > _STEEPEST, np.maximum(rough, 0.1), rough)
+
+    shift = np.zeros(goal.shape[:2])
+    height = sample(along, np.zeros_like(along))
+    slope, rough = fit(height)
+    if (rough > _ROUGH).any():
+        best = np.full(shift.shape, np.inf)
+        for candidate in _SHIFTS:
+            h = sample(along + candidate, np.zeros_like(along))
+            m, r = fit(h)
+            cost = (
+                3.0 * np.maximum(r - _ROUGH, 0.0)
+                + 0.3 * np.abs(candidate)
+                + 0.3 * np.abs(candidate - s["shift"])
+            )
+            better = (cost < best) & (rough > _ROUGH)
+            best = np.where(better, cost, best)
+            shift = np.where(better, candidate, shift)
+            height = np.where(better[..., None], h, height)
+            slope = np.where(better, m, slope)
+        rough = fit(height)[1]
+    s["shift"] = shift
+
+    edge = rough > _ROUGH  # an edge is under the sole after all: stand level on its top
+    slope = np.where(edge, 0.0, slope)
+    z = np.where(edge, height.max(-1), height[..., 0] - slope * heel)
+    wide = np.array([-0.04, 0.04])
+    sides = sample((shift + 0.5 * (heel + tip))[..., None] + 0.0 * wide, wide + np.zeros((*shift.shape, 2)))
+    tilt = (sides[..., 1] - sides[..., 0]) / 0.08
+    tilt = np.where(edge | (np.abs(tilt) > 0.5), 0.0, tilt)
+    x = goal[..., 0] + cos * shift
+    y = goal[..., 1] + sin * shift
+    return np.stack([x, y, z, goal[..., 2], -np.arctan(slope), np.arctan(tilt)], axis=-1)
+
+
+def _swing(s: State, swinging: NDArray[np.bool_], height_at: HeightAt) -> None:
+    """Set the places of the feet in the air: an arc from the last toe-off to the next foothold."""
+    agent, foot = np.nonzero(swinging)
+    start, end = s["left_from"][agent, foot], s["target"][agent, foot]
+    change = end - start
+    change[:, 3] = wrap(change[:, 3])
+    u = s["swing"][agent, foot][:, None]
+    early = np.clip(change[:, 2:3] / 0.15, -1.0, 1.0)  # up: climb, then go forward; down: the reverse
+
+    def base(u: Array) -> Array:
+        up, down = smoothstep(u * (1.0 + 0.5 * early)), 1.0 - smoothstep((1.0 - u) * (1.0 - 0.5 * early))
+        return start[:, 2:3] + change[:, 2:3] * np.where(early > 0.0, up, down)
+
+    # The least arc height that clears the ground under heel, ball and tip all along the way.
+    share = smoothstep(_PATH)
+    along = start[:, None, :2] + share[:, None] * change[:, None, :2]  # (k, 5, 2)
+    yaw = start[:, 3:4] + share * change[:, 3:4]
+    reach = np.stack([s["heel"][agent, foot, 0], s["toe"][agent, foot, 0], s["tip"][agent, foot, 0]], -1)
+    forward = np.stack([np.cos(yaw), np.sin(yaw)], -1)
+    points = along[:, :, None] + reach[:, None, :, None] * forward[:, :, None]  # (k, 5, 3, 2)
+    slope = np.tan(start[:, 4:5] + share * change[:, 4:5])
+    ground = height_at(points.reshape(-1, 2)).reshape(points.shape[:-1])
+    ground = (ground + slope[..., None] * reach[:, None]).max(-1)  # above the plane of the sole
+    vigour = s["vigour"][agent]
+    clearance = 0.05 - 0.02 * np.minimum(vigour, 1.0) + 0.07 * norms.running(s["speed"][agent])
+    excess = (ground - base(_PATH[None])) / _bump(_PATH)
+    height = clearance + np.maximum(excess.max(-1), 0.0)
+
+    place = start + smoothstep(u) * change
+    place[:, 2] = (base(u) + height[:, None] * _bump(u))[:, 0]
+    s["place"][agent, foot] = place
+
+
+def _bump(u: Array) -> Array:
+    """Arc over [0, 1] of height 1, flat-topped and level at both ends."""
+    x = smoothstep(u)
+    return 1.0 - (1.0 - 4.0 * x * (1.0 - x)) ** 2
+
+
+def profile_roll(s: State) -> Array:
+    """Pitch (n, 2) of the feet in rad, heel up positive, by the clock: heel, flat, ball, swing."""
+    support = stride(s)[1][:, None]
+    psi = (s["phase"][:, None] + _OFFSETS) % 1.0
+    full = norms.TOE_OFF_PITCH * s["vigour"][:, None]
+    span = (1.0 - norms.HEEL_OFF) * support
+    since = np.clip((psi - norms.HEEL_OFF * support) / span, 0.0, 1.0)
+    stance = s["landing"] * (1.0 - smoothstep(psi / norms.FLAT_PHASE)) + full * since**2 * (1.6 - 0.6 * since)
+    # In the air a cubic takes over with the pitch rate of toe-off.
+    u = s["swing"]
+    rate = 1.4 * full * (1.0 - support) / span
+    swing = s["roll_off"] + (s["landing"] - s["roll_off"]) * smoothstep(u) + rate * u * (1.0 - u) ** 2
+    return np.where(s["planted"], stance, swing)
+
+
+def wrap(angle: Array) -> Array:
+    """Angle in [-pi, pi)."""
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi

@@ -1,0 +1,158 @@
+"""From the state of a walker's feet and stride to pelvis, ankles, trunk and arms."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import footsteps
+from . import gait_norms as norms
+from .body import BODY_INDEX
+from .gait_state import State
+from .leg_ik import Legs, angle_within
+
+Array = NDArray[np.float64]
+
+_SIDES = np.array([1.0, -1.0])
+_STANDING_KNEE = 0.12  # rad: bend of the knees when standing
+_LEAST_KNEE = 0.06  # rad: the straightest a leg may get
+_MAX_ROLL = np.radians(75.0)  # of a standing foot on its toes
+_TOE_BEND = np.radians(50.0)
+_SOFT = 0.006  # m: rounding of the pelvis' path where a leg's reach begins to bind
+
+
+def pelvis_motion(s: State) -> tuple[Array, Array, Array]:
+    """Pelvis turn (n, 3) about x, y, z in rad; sway (n,) to the left and height (n,) above the ground, m."""
+    cycle, vigour, speed = 2.0 * np.pi * s["phase"], s["vigour"], s["speed"]
+    duration, support = footsteps.stride(s)
+    run = norms.running(speed)
+    roll = norms.PELVIS_ROLL * vigour * np.sin(cycle + 0.2 * np.pi)
+    yaw = -norms.PELVIS_YAW * vigour * np.cos(cycle)
+    turn = np.stack([roll, 0.02 * vigour + 0.10 * run, yaw], -1)
+
+    idle = 1.0 - np.minimum(vigour, 1.0)
+    slow = 2.0 * np.pi * (0.08 * s["time"] + s["id"] * 0.6180339887498949)
+    sway = norms.PELVIS_SWAY * np.minimum(1.3 * vigour, 1.0) * np.sin(cycle - 0.1 * np.pi)
+    sway += 0.006 * idle * (np.sin(slow) + 0.5 * np.sin(2.7 * slow))
+
+    leg = Legs(s["thigh"][:, 0], s["shank"][:, 0])
+    stand = s["pelvis_height"] - (leg.reach(0.0) - leg.reach(_STANDING_KNEE))
+    rise = norms.vertical_excursion(speed, 0.5 * speed * duration, leg.reach())
+    rise *= np.minimum(vigour, 1.0)
+    wave = np.cos(2.0 * (cycle - 2.0 * np.pi * norms.CROSSING * support))
+    height = stand - 0.008 * vigour - 0.055 * run + 0.5 * rise * (wave - 1.0)
+    return turn, sway, height
+
+
+def sole_rotation(place: Array) -> Array:
+    """World rotations (..., 3, 3) of flat feet at places (..., 6): yaw about z, then pitch, then roll."""
+    (cy, cp, cr), (sy, sp, sr) = (np.moveaxis(f(place[..., 3:6]), -1, 0) for f in (np.cos, np.sin))
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def ankle_positions(s: State, sole: Array) -> Array:
+    """Ankles (n, 2, 3) in m, world.
+
+    The foot rolls over the heel's edge, the ball and the tip of the toes, one after the other (the "rockers"
+    of Perry): whichever touches the ground keeps its place.
+    """
+    roll = s["roll"]
+    soft = 0.8 * (s["swing"] * (1.0 - s["swing"]))  # in the air one pivot passes smoothly into the other
+    rise = 0.5 * (roll + np.sqrt(roll * roll + soft * soft) - soft)
+    toes = rise + toe_bend(s)  # pitch of the toes themselves
+    ball = s["toe"]
+    local = _pivot_shift(s["heel"], roll - rise) + _pivot_shift(s["tip"], toes)
+    local += _pivot_shift(ball, rise) - _pivot_shift(ball, toes)
+    local[..., 2] -= s["heel"][..., 2]  # the ankle's height over the sole
+    return s["place"][..., :3] + (sole @ local[..., None])[..., 0]
+
+
+def _pivot_shift(pivot: Array, angle: Array) -> Array:
+    """Displacement (..., 3) of a frame's origin when the frame pitches about a point given in it."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, z = pivot[..., 0], pivot[..., 2]
+    return np.stack([x - cos * x - sin * z, np.zeros_like(x), z + sin * x - cos * z], -1)
+
+
+def toe_bend(s: State) -> Array:
+    """Toe joints' y angle (n, 2) in rad: flat as the heel rises, as far as toes bend; straight in the air."""
+    rise = np.maximum(s["roll"], 0.0)
+    return -_TOE_BEND * np.tanh(rise / _TOE_BEND) * (1.0 - s["swing"]) ** 1.3
+
+
+def fit_legs(s: State, pelvis: Array, hip: Array, sole: Array, legs: Legs) -> None:
+    """Raise heels, then lower pelvises (n, 3), until every leg reaches its foot.
+
+    Args:
+        s: walkers; their feet's ``roll`` is raised in place.
+        pelvis: wanted positions, world, m; the height is lowered in place.
+        hip: pelvis to hips (n, 2, 3), world, m.
+        sole: `sole_rotation` of the feet.
+        legs: the walkers' legs.
+    """
+    length = legs.reach(_LEAST_KNEE)
+    ankle = ankle_positions(s, sole)
+    ahead = np.sum((pelvis[:, None, :2] + hip[..., :2] - ankle[..., :2]) * sole[..., :2, 0], -1)
+    leading = ahead <= 0.0
+    _lower(pelvis, hip, ankle, np.where(leading, length, 9.0))
+
+    # The squared distance from hip to ankle, the foot pitched by p about its toe joint, is
+    # |q|^2 + |t|^2 + 2 q . Ry(p) t, with q from toe joint to hip and t from ankle to toe joint.
+    t = s["toe"]
+    flat = s["toe"].copy()
+    flat[..., 2] -= s["heel"][..., 2]
+    joint = s["place"][..., :3] + (sole @ flat[..., None])[..., 0]
+    q = (np.swapaxes(sole, -1, -2) @ (pelvis[:, None] + hip - joint)[..., None])[..., 0]
+    bound = length**2 - np.sum(q * q + t * t, -1) - 2.0 * q[..., 1] * t[..., 1]
+    needed = angle_within(
+        2.0 * (q[..., 0] * t[..., 0] + q[..., 2] * t[..., 2]),
+        2.0 * (q[..., 0] * t[..., 2] - q[..., 2] * t[..., 0]),
+        bound,
+    )
+    rising = s["planted"] & ~leading
+    s["roll"] = np.where(rising, np.maximum(s["roll"], np.minimum(needed, _MAX_ROLL)), s["roll"])
+    _lower(pelvis, hip, ankle_positions(s, sole), length)
+
+
+def _lower(pelvis: Array, hip: Array, ankle: Array, length: Array) -> None:
+    """Lower pelvises (n, 3) in place, smoothly, until legs of that length (n, 2) reach."""
+    across = np.sum((pelvis[:, None, :2] + hip[..., :2] - ankle[..., :2]) ** 2, -1)
+    top = ankle[..., 2] - hip[..., 2] + np.sqrt(np.maximum(length**2 - across, (0.3 * length) ** 2))
+    for foot in range(2):
+        gap = np.maximum(pelvis[:, 2] - top[:, foot], -1.0)
+        pelvis[:, 2] -= 0.5 * (gap + np.sqrt(gap * gap + _SOFT * _SOFT))
+
+
+def upper_body(s: State, turn: Array, joints: Array) -> None:
+    """Set trunk, head and arms in joints (n, 23, 3), given the pelvis' turn (n, 3)."""
+    vigour, run = s["vigour"], norms.running(s["speed"])
+    idle = 1.0 - np.minimum(vigour, 1.0)
+
+    # The thorax turns against the pelvis by 0.6 of it and stays upright; the head looks ahead, into the turn.
+    breath = 0.010 * np.sin(2.0 * np.pi * (0.25 * s["time"] + s["id"] * 0.7548776662466927))
+    for body, share in (("Torso", 0.3), ("Spine", 0.3), ("Chest", 0.4)):
+        joints[:, BODY_INDEX[body] - 1] = share * turn * np.array([-0.9, -0.3, -1.6])
+    joints[:, BODY_INDEX["Chest"] - 1, 1] += breath * (0.4 + 0.6 * idle)
+    gaze = np.clip(0.25 * s["turn_rate"], -0.5, 0.5) + 0.6 * turn[:, 2]
+    for body in ("Neck", "Head"):
+        joints[:, BODY_INDEX[body] - 1, 2] = 0.5 * gaze
+        joints[:, BODY_INDEX[body] - 1, 1] = -0.35 * turn[:, 1] - 0.3 * breath
+
+    # Each arm swings with the other side's leg: left forward at the right heel strike.
+    wave = -np.cos(2.0 * np.pi * s["phase"] - 0.2)[:, None] * _SIDES
+    low, high = -norms.SHOULDER_EXTENSION, norms.SHOULDER_FLEXION
+    swing = (0.5 * (low + high) + 0.5 * (high - low) * wave) * vigour[:, None] + 0.12 * idle[:, None]
+    swing = swing + run[:, None] * (0.1 + 0.15 * wave)
+    back, more = norms.ELBOW_FLEXION
+    elbow = back + more * vigour[:, None] * (0.5 + 0.5 * wave) + 1.0 * run[:, None]
+    for side, prefix in enumerate(("L_", "R_")):
+        sign = _SIDES[side]
+        shoulder, hinge = BODY_INDEX[prefix + "Shoulder"] - 1, BODY_INDEX[prefix + "Elbow"] - 1
+        joints[:, shoulder, 0] = sign * (-0.5 * np.pi + 0.10 + 0.05 * run)
+        joints[:, shoulder, 2] = -sign * swing[:, side]
+        joints[:, hinge, 2] = -sign * elbow[:, side]
