@@ -239,7 +239,7 @@ def validate(topic: str, message: msgspec.Struct, path: str = "") -> None:
         if field.array is not None and isinstance(value, np.ndarray):
             if fault := field.array.mismatch(value, lengths):
                 raise MessageError(topic, where, fault)
-        elif field.array is not None and value is not None:
+        elif field.array is not None and (value is not None or not field.optional):
             raise MessageError(topic, where, f"is a {type(value).__name__}, must be an ndarray")
         elif field.structs or field.has_floats:
             _validate_value(topic, value, where)

@@ -26,6 +26,8 @@ class Field:
     """Struct types that may stand in this field, directly or inside a container."""
     has_floats: bool
     """Whether the field itself may hold floats outside arrays."""
+    optional: bool
+    """Whether it may be None."""
 
 
 def _parts(annotation: Any) -> list[Any]:
@@ -57,7 +59,7 @@ def fields_of(message_type: type[msgspec.Struct]) -> tuple[Field, ...]:
             )
         structs = tuple(p for p in parts if isinstance(p, type) and issubclass(p, msgspec.Struct))
         volatile = any(isinstance(extra, Volatile) for extra in extras)
-        fields.append(Field(name, hints[name], array, volatile, structs, float in parts))
+        fields.append(Field(name, hints[name], array, volatile, structs, float in parts, type(None) in parts))
     return tuple(fields)
 
 

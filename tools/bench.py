@@ -1,0 +1,26 @@
+"""`footfall bench`: measurements that stand in the documentation, one verb each."""
+
+import argparse
+from importlib import import_module
+
+BENCHES = {
+    "bus": ("bench_bus", "round trips and throughput of the bus beside raw pyzmq and other buses"),
+    "fuzz": ("fuzz", "broken frames of every message type against the receiving end"),
+}
+"""By verb: the module in tools/ that has `add_arguments` and `run`, and one line about it."""
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `bench` and its verbs; a bench's module is imported when it is run."""
+    parser = subparsers.add_parser("bench", help=f"measure: {', '.join(BENCHES)}")
+    verbs = parser.add_subparsers(required=True, dest="bench", metavar="BENCH")
+    for name, (module, text) in BENCHES.items():
+        import_module(f"{__package__}.{module}").add_arguments(
+            verbs.add_parser(name, help=text, description=text)
+        )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run one bench."""
+    return import_module(f"{__package__}.{BENCHES[args.bench][0]}").run(args)
