@@ -237,7 +237,8 @@ def _safe(chosen: Array, neighbors: Neighbors, pieces: ObstaclePieces, max_speed
     for round_ in range(SAFETY_ROUNDS + 1):
         shared = np.where(touching, -free / (2 * dt), -np.inf)
         offset = np.concatenate((pieces.offset_step, shared), axis=1)
-        velocity, _ = closest_point(normal, offset, max_speed, chosen)
+        velocity, failed = closest_point(normal, offset, max_speed, chosen)
+        velocity[failed < offset.shape[1]] = 0.0  # wedged to within rounding
         relative = velocity[neighbors.other] - velocity[:, None]
         square = dot(relative, relative)
         time = np.clip(-dot(neighbors.towards, relative) / np.maximum(square, 1e-12), 0.0, dt)

@@ -231,3 +231,12 @@ def test_an_agent_passes_a_gap_little_wider_than_itself():
         ConvexObstacles.from_polygons([walls]),
     )
     np.testing.assert_allclose(run.position[0, 0, -1], goal[0, 0], atol=0.05)
+
+
+def test_a_disc_that_fits_exactly_between_two_walls_can_only_walk_along():
+    walls = [np.array([[-5.0, side * RADIUS], [5.0, side * RADIUS]]) for side in (1, -1)]
+    start, wanted = np.zeros((1, 1, 2)), np.array([[[1.0, 1.0]]])
+    obstacles = ConvexObstacles.from_polygons([walls])
+    run = rollout(start, start, lambda *_: wanted, 20, 0.1, OrcaParams(), obstacles)
+    assert np.abs(run.position[..., 1]).max() < 1e-9
+    assert run.position[0, 0, -1, 0] > 1.5
