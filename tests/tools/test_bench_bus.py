@@ -1,0 +1,36 @@
+"""The benches run, and what they report is consistent."""
+
+import json
+
+import pytest
+
+from footfall.messages.topics import TOPICS
+from footfall.tools import cli
+from footfall.tools.bench_bus import measure
+from footfall.tools.fuzz import MUTATIONS, fuzz
+
+
+@pytest.mark.slow
+def test_bench_bus() -> None:
+    result = measure(quick=True, sizes=("64", "39k"))
+    for size in ("64", "39k"):
+        ours, raw = result["rtt_us"]["footfall"][size], result["rtt_us"]["raw pyzmq"][size]
+        assert result["rtt_ratio"][size] == pytest.approx(ours / raw, rel=0.02)
+        assert 0 < result["throughput_ratio"][size] < 2
+    assert result["latest_age_ms"]["median"] < 20
+
+
+def test_no_broken_frame_gets_through_or_breaks_the_receiver() -> None:
+    result = fuzz(4000, seed=3)
+    assert result.crashes == []
+    assert result.accepted + result.rejected == result.frames == 4000
+    assert set(result.by_mutation) == {"splice"} | {m.__name__ for m in MUTATIONS if m}
+    assert {name.split(".")[0] for name in result.fields} == set(TOPICS)
+    assert result.memory_growth < 100 << 20
+
+
+def test_bench_fuzz_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bench", "fuzz", "--frames", "200", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["frames"] == 200
+    assert facts["crashes"] == 0
