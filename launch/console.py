@@ -52,7 +52,7 @@ def status_text(
     """`12.3 s simulated, 4.1x real time, 18 agents, 0 dropped, 3 s left`."""
     parts = [f"{sim_seconds:.1f} s simulated", f"{factor:.1f}x real time"]
     if agents is not None:
-        parts.append(f"{agents} agents")
+        parts.append(f"{agents} agent{'s' * (agents != 1)}")
     parts.append(f"{dropped} dropped")
     if duration is not None and factor > 0:
         left = max(0.0, duration - sim_seconds) / factor

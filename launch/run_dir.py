@@ -13,6 +13,8 @@ from ..messages.config import ConfigError
 from ..messages.graph import Graph
 from .check import check_paths
 
+RUN_VARIABLE = "FOOTFALL_RUN_DIR"
+"""Environment variable by which the processes of a run, and whatever they start, are known."""
 KEPT = 20
 """Directories of ended runs that stay, for their logs."""
 

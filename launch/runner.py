@@ -68,7 +68,7 @@ class Runner:
         self._log = log
         self._nodes = [node for node in self.graph.nodes if node.name != LAUNCHER]
         self._ready: dict[str, Bound] = {}
-        self._gone = False
+        self._going = False
         """Whether everybody was told to go."""
         self._ended = ""
         """Why the run ends; empty while it does not."""
@@ -113,10 +113,10 @@ class Runner:
     def _run(self) -> None:
         deadline = monotonic() + START_TIMEOUT
         while not self._ended:
-            self.look(BEAT if self._gone else BEAT / 5)
-            if not self._gone and not self._ended:
+            self.look(BEAT if self._going else BEAT / 5)
+            if not self._going and not self._ended:
                 self._start_when_ready(deadline)
-            if self._gone:
+            if self._going:
                 self._mention_silent()
                 if self._console.wants_status:
                     self._show_status()
@@ -142,8 +142,8 @@ class Runner:
 
     def look(self, wait: float) -> None:
         """Take in messages for up to `wait` [s], lines and deaths; act on them."""
-        if self.bus.poll(wait):
-            self._take_messages()
+        self.bus.poll(wait, lambda: False)
+        self._take_messages()
         for identity, line in self.link.receive():
             self._take_line(identity, line)
         for death in self.supervisor.poll():
@@ -166,7 +166,7 @@ class Runner:
                 sent |= bound
             for name in self._ready:
                 self.link.send(name.encode(), Go(sent))
-            self._gone = True
+            self._going = True
             self._started = monotonic()
         elif monotonic() > deadline:
             self.fail(Failure(", ".join(sorted(waiting)), f"not ready {START_TIMEOUT:g} s after the start"))
@@ -187,9 +187,11 @@ class Runner:
                 self._console.say(f"[{line.node}] {line.level.lower()}: {text}", important)
 
     def _take_line(self, identity: bytes, line: Line) -> None:
+        if isinstance(line, (Ready, Finished, Failed)) and line.node not in self.supervisor.names:
+            return
         if isinstance(line, Ready):
             self._ready[line.node] = line.sent
-            if self._gone:
+            if self._going:
                 self.link.send(identity, Go(restarted=True))
         elif isinstance(line, Finished):
             self._ended = self._ended or line.reason
@@ -203,7 +205,7 @@ class Runner:
             self.link.send(identity, self._obey(line))
 
     def _obey(self, request: Request) -> Reply:
-        names = [node.name for node in self._nodes]
+        names = self.supervisor.names
         if request.verb == "stop":
             self._ended = self._ended or "stopped on request"
         elif request.node != "*" and request.node not in names:
@@ -227,7 +229,7 @@ class Runner:
             words = self._last_words.get(name)
             reason = words.reason if words else self._last_output(name) or "ended though nobody asked it to"
             self.fail(Failure(name, reason, death.text, usage=death.code == 2))
-        if not self._ended and (node.required or not self._gone):
+        if not self._ended and (node.required or not self._going):
             self._ended = f"{name} failed"
         elif not self._ended:
             self._console.say(f"[{name}] {death.text}; the others go on without it", important=True)
@@ -277,7 +279,7 @@ class Runner:
 
     def _summary(self) -> Summary:
         self._count_own()
-        wall = self._finished - self._started if self._gone else 0.0
+        wall = self._finished - self._started if self._going else 0.0
         return Summary(
             graph=self.graph.name,
             sim_seconds=self.sim_seconds,

@@ -11,7 +11,7 @@ from pathlib import Path
 from time import monotonic
 
 from ..messages.graph import NodeSpec, Restart
-from .run_dir import RunDir
+from .run_dir import RUN_VARIABLE, RunDir
 
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -79,6 +79,11 @@ class Supervisor:
         os.set_blocking(self._events.fileno(), False)
 
     @property
+    def names(self) -> list[str]:
+        """All nodes, running or not."""
+        return list(self._children)
+
+    @property
     def alive(self) -> set[str]:
         """Nodes whose process runs, or is about to."""
         return {name for name, child in self._children.items() if child.pid or child.starting}
@@ -107,7 +112,19 @@ class Supervisor:
         child.starting, child.due = True, None
         argv = [sys.executable, "-m", child.spec.module, "--graph", str(self._run.graph_file), "--node", name]
         output = str(self._run.output_of(name))
-        self._order({"start": name, "argv": argv, "env": _environment(child), "output": output})
+        self._order({"start": name, "argv": argv, "env": self._environment(child), "output": output})
+
+    def _environment(self, child: _Child) -> dict[str, str]:
+        spec = child.spec
+        return {
+            **os.environ,
+            **dict.fromkeys(THREAD_VARIABLES, str(spec.threads)),
+            "PYTHONUNBUFFERED": "1",
+            "PYTHONFAULTHANDLER": "1",
+            "FOOTFALL_RESTARTS": str(child.restarts),
+            RUN_VARIABLE: str(self._run.path),
+            **spec.env,
+        }
 
     def poll(self) -> list[Death]:
         """Deaths since the last call; starts again what waited long enough.
@@ -130,10 +147,18 @@ class Supervisor:
         except BlockingIOError:
             return None
         if data == b"":
-            for child in self._children.values():
-                child.pid, child.starting, child.due = None, False, None
-            raise WatchdogError("the launcher's watchdog process has died, and all nodes with it")
+            raise self._watchdog_died()
         return data
+
+    def _watchdog_died(self) -> WatchdogError:
+        """Kill what the kernel has not: it ends the nodes, but not what they have started."""
+        from .leftovers import processes_of
+
+        for child in self._children.values():
+            child.pid, child.starting, child.due = None, False, None
+        for process in processes_of({str(self._run.path)}):
+            process.kill()
+        return WatchdogError("the launcher's watchdog process has died, and all nodes with it")
 
     def _take(self, event: dict) -> Death | None:
         if name := event.get("started"):
@@ -175,7 +200,7 @@ class Supervisor:
             self._orders.write(json.dumps(order).encode() + b"\n")
             self._orders.flush()
         except BrokenPipeError:
-            raise WatchdogError("the launcher's watchdog process has died, and all nodes with it") from None
+            raise self._watchdog_died() from None
 
     def close(self) -> None:
         """End whatever still runs."""
@@ -187,15 +212,3 @@ class Supervisor:
             self._watchdog.kill()
             self._watchdog.wait()
         self._events.close()
-
-
-def _environment(child: _Child) -> dict[str, str]:
-    spec = child.spec
-    return {
-        **os.environ,
-        **dict.fromkeys(THREAD_VARIABLES, str(spec.threads)),
-        "PYTHONUNBUFFERED": "1",
-        "PYTHONFAULTHANDLER": "1",
-        "FOOTFALL_RESTARTS": str(child.restarts),
-        **spec.env,
-    }

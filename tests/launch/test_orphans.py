@@ -52,9 +52,9 @@ def test_launcher_killed_with_a_stubborn_node(launch: Callable) -> None:
 
 
 def test_watchdog_killed(launch: Callable) -> None:
-    run = launch(LITTLE, "--mode", "realtime")
+    run = launch(LITTLE, *WITH_CHILDREN)
     (watchdog,) = run.wait_for("watchdog.py")
-    run.wait_for("-m echoer")
+    run.wait_for("sleep 1000", count=2)
     time.sleep(0.5)
     os.kill(watchdog, signal.SIGKILL)
     code, _, err = run.finish(timeout=5)

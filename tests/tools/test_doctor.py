@@ -64,10 +64,9 @@ def test_too_long_a_place_for_sockets_is_bad(runs_home: Path, monkeypatch: pytes
 
 def test_left_over_processes_and_directories_are_found_and_cleaned(capsys: pytest.CaptureFixture) -> None:
     run = ended_run("gone")
-    graph_file = str(run.run.graph_file)
-    sleeper = "import time; time.sleep(100)"
-    orphan = subprocess.Popen([sys.executable, "-c", sleeper, "--graph", graph_file, "--node", "x"])
-    reader = subprocess.Popen([sys.executable, "-c", sleeper, graph_file])  # not a node
+    sleep = [sys.executable, "-c", "import time; time.sleep(100)", str(run.run.graph_file)]
+    orphan = subprocess.Popen(sleep, env={**os.environ, "FOOTFALL_RUN_DIR": str(run.run.path)})
+    reader = subprocess.Popen(sleep)  # knows the file, but does not belong to the run
     try:
         time.sleep(0.2)
         (finding,) = [f for f in doctor.runs() if f.subject == "orphan"]
