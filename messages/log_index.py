@@ -7,17 +7,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import msgspec
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
-    Chunk,
     ChunkIndex,
     Footer,
     Header,
@@ -29,21 +27,11 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 
 from .bus import LIFE_BITS
+from .log_chunk import RawMessage, parse_chunk
 from .log_format import MESSAGE_ENCODING, PROFILE, SCHEMA_ENCODING, LogChannel, LogError
 
 _HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
 _FOOTER_SIZE = _HEAD.size + 20 + len(MCAP0_MAGIC)
-
-
-class RawMessage(NamedTuple):
-    """One message as it stands in the file."""
-
-    channel: int
-    sequence: int
-    stamp_ns: int
-    sent_ns: int
-    data: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,35 +257,6 @@ def read_chunk(index: LogIndex, file: IO[bytes], place: ChunkPlace) -> list[RawM
             f"{index.path}: the chunk at byte {place.offset} is damaged ({error}); "
             "`footfall log recover` saves the others"
         ) from None
-
-
-def parse_chunk(content: bytes) -> list[RawMessage]:
-    """The messages of a chunk record's content.
-
-    Raises:
-        ValueError: damaged (other exceptions are possible on damaged bytes).
-    """
-    chunk = Chunk.read(_stream(content))
-    if chunk.compression == "zstd":
-        data = zstandard.decompress(chunk.data, chunk.uncompressed_size)
-    elif chunk.compression:
-        raise ValueError(f"compressed with {chunk.compression}")
-    else:
-        data = chunk.data
-    if len(data) != chunk.uncompressed_size:
-        raise ValueError(f"{len(data)} bytes instead of {chunk.uncompressed_size}")
-    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError("checksum differs")
-    messages, at = [], 0
-    while at < len(data):
-        opcode, length = _HEAD.unpack_from(data, at)
-        at += _HEAD.size
-        if opcode == Opcode.MESSAGE:
-            channel, sequence, stamp_ns, sent_ns = _MESSAGE.unpack_from(data, at)
-            record = data[at + _MESSAGE.size : at + length]
-            messages.append(RawMessage(channel, sequence, stamp_ns, sent_ns, record))
-        at += length
-    return messages
 
 
 def _records(file: IO[bytes], end: int) -> Iterator[tuple[int, int, bytes]]:

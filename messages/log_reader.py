@@ -8,17 +8,16 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any, Generic, Literal, TypeVar
 
-import msgpack
 import msgspec
-import numpy as np
 
-from .array import DTYPES
 from .bus import Received
-from .codec import Codec, MessageError
+from .codec import Codec
 from .config import near
 from .graph import Graph
+from .log_chunk import RawMessage
 from .log_format import GRAPH_FILE, REPEATED, RUN, VERSIONS, LogChannel, LogError
-from .log_index import ChunkPlace, LogIndex, RawMessage, read_chunk, read_index
+from .log_index import ChunkPlace, LogIndex, read_chunk, read_index
+from .log_plain import plain_decoder
 from .schema import compatible, schema_hash
 from .topics import TOPICS, Topic
 
@@ -308,29 +307,6 @@ class LogReader:
                 )
         more = f" (and {len(faults) - 3} channels more)" if len(faults) > 3 else ""
         log.warning("%s: read as plain data: %s%s", self.path, "; ".join(faults[:3]), more)
-
-
-def plain_decoder(topic: str) -> Any:
-    """Decodes records of any type into dicts, lists and arrays."""
-
-    def decode(record: bytes) -> Any:
-        try:
-            return _arrays(msgpack.unpackb(record))
-        except (ValueError, msgpack.UnpackException) as error:
-            raise MessageError(topic, "", f"is not msgpack: {error}") from None
-
-    return decode
-
-
-def _arrays(value: Any) -> Any:
-    """Turn `[dtype, shape, bytes]` into arrays."""
-    if isinstance(value, dict):
-        return {key: _arrays(item) for key, item in value.items()}
-    if not isinstance(value, list):
-        return value
-    if len(value) == 3 and isinstance(value[0], str) and value[0] in DTYPES and isinstance(value[2], bytes):
-        return np.frombuffer(value[2], DTYPES[value[0]]).reshape(value[1])
-    return [_arrays(item) for item in value]
 
 
 def _by_sequence(raw: RawMessage) -> int:

@@ -1,7 +1,5 @@
 """Writes MCAP logs chunk by chunk; whatever happens, the file holds every chunk that was written."""
 
-import errno
-import os
 import struct
 import zlib
 from collections import defaultdict
@@ -11,11 +9,10 @@ from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from time import monotonic
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import zstandard
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -23,22 +20,19 @@ from mcap.records import (
     Channel,
     Chunk,
     ChunkIndex,
-    DataEnd,
-    Footer,
     Header,
     McapRecord,
     MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
-    Statistics,
-    SummaryOffset,
 )
 from mcap.writer import MCAP0_MAGIC
 
 from .bus import LIFE_BITS
 from .codec import Codec
 from .graph import Graph
+from .log_file import AppendFile
 from .log_format import (
     FORMAT,
     GRAPH_FILE,
@@ -50,6 +44,7 @@ from .log_format import (
     LogError,
 )
 from .log_reader import Logged
+from .log_summary import Contents, SchemaFacts, to_bytes
 from .schema import json_schema, schema_hash
 from .topics import Topic
 
@@ -80,14 +75,6 @@ class _OpenChunk:
     start_ns: int = 1 << 64
     end_ns: int = 0
     index: dict[int, list[tuple[int, int]]] = field(default_factory=lambda: defaultdict(list))
-
-
-class SchemaFacts(NamedTuple):
-    """What makes two schemas one."""
-
-    name: str
-    hash: str
-    text: bytes
 
 
 class LogWriter:
@@ -121,37 +108,27 @@ class LogWriter:
         quota: int | None = None,
     ) -> None:
         self.path = Path(path)
-        self.size = 0
-        """Bytes in the file."""
         self.messages = 0
         """Messages that stand in the file or wait in the open chunk."""
         self.closed = False
-        self._quota = quota
         self._chunk_bytes = chunk_bytes
         self._flush_period = flush_period
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
         self._chunk = _OpenChunk()
         self._flushed_at = monotonic()
         self._descriptions: list[McapRecord] = []
-        self._schemas: dict[SchemaFacts, Schema] = {}
-        self._channels: dict[tuple[str, str, int], Channel] = {}
-        self._chunks: list[ChunkIndex] = []
-        self._counts: list[dict[int, int]] = []
-        self._attachments: list[AttachmentIndex] = []
-        self._metadata: list[MetadataIndex] = []
+        self._contents = Contents()
         self._codecs: dict[str, Codec] = {}
-        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | (os.O_TRUNC if overwrite else os.O_EXCL)
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(self.path, flags, 0o644)
-        except OSError as error:
-            if self.path.exists() and not overwrite:
-                raise LogError(f"{self.path}: exists already; choose another name or overwrite it") from None
-            raise LogError(f"{self.path}: cannot be written: {error.strerror}") from None
+        self._file = AppendFile(self.path, overwrite, quota)
         self._begin(graph, dict(metadata or {}))
 
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return self._file.size
+
     def _begin(self, graph: Graph | None, metadata: dict[str, Mapping[str, str]]) -> None:
-        self._append(MCAP0_MAGIC + _bytes(Header(PROFILE, f"footfall format {FORMAT}")))
+        self._file.append(MCAP0_MAGIC + to_bytes(Header(PROFILE, f"footfall format {FORMAT}")))
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         run = {"format": FORMAT, "recorded": now} | dict(metadata.pop(RUN, {}))
         if graph is not None:
@@ -159,15 +136,17 @@ class LogWriter:
             metadata.setdefault(VERSIONS, graph.versions)
             self.attach(GRAPH_FILE, "application/json", msgspec.json.encode(graph))
         for name, values in {RUN: run, **metadata}.items():
-            data = _bytes(Metadata(name, dict(values)))
-            self._metadata.append(MetadataIndex(self.size, len(data), name))
-            self._append(data)
+            data = to_bytes(Metadata(name, dict(values)))
+            self._contents.metadata.append(MetadataIndex(self.size, len(data), name))
+            self._file.append(data)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put a whole file into the log."""
-        record = _bytes(Attachment(0, 0, name, media_type, data))
-        self._attachments.append(AttachmentIndex(self.size, len(record), 0, 0, len(data), name, media_type))
-        self._append(record)
+        record = to_bytes(Attachment(0, 0, name, media_type, data))
+        self._contents.attachments.append(
+            AttachmentIndex(self.size, len(record), 0, 0, len(data), name, media_type)
+        )
+        self._file.append(record)
 
     def write(
         self, topic: Topic, publisher: str, sequence: int, stamp_ns: int, sent_ns: int, record: bytes
@@ -191,7 +170,7 @@ class LogWriter:
         if self._chunk.size >= self._chunk_bytes:
             self.flush()
         key = (topic.name, publisher, sequence >> LIFE_BITS)
-        channel = self._channels.get(key) or self._describe(
+        channel = self._contents.channels.get(key) or self._describe(
             key,
             SchemaFacts(topic.type.__name__, schema_hash(topic.type).hex(), _schema_text(topic.type)),
             topic.latched,
@@ -210,7 +189,7 @@ class LogWriter:
         of = item.channel
         key = (of.topic, of.publisher, of.life)
         facts = SchemaFacts(of.type_name, of.schema, _canonical_json(of.json_schema))
-        channel = self._channels.get(key) or self._describe(key, facts, of.latched, of.deterministic)
+        channel = self._contents.channels.get(key) or self._describe(key, facts, of.latched, of.deterministic)
         self._add(channel, item.sequence, item.stamp_ns, item.sent_ns, item.record)
 
     def _add(self, channel: Channel, sequence: int, stamp_ns: int, sent_ns: int, record: bytes) -> None:
@@ -234,13 +213,13 @@ class LogWriter:
         self.write(topic, publisher, sequence, stamp_ns, sent_ns, codec.encode_inline(message))
 
     def _describe(
-        self, key: tuple[str, str, int], facts: "SchemaFacts", latched: bool, deterministic: bool
+        self, key: tuple[str, str, int], facts: SchemaFacts, latched: bool, deterministic: bool
     ) -> Channel:
         """Add a channel, and its schema if that is new."""
-        schema = self._schemas.get(facts)
+        schema = self._contents.schemas.get(facts)
         if schema is None:
-            schema = Schema(len(self._schemas) + 1, facts.text, SCHEMA_ENCODING, facts.name)
-            self._schemas[facts] = schema
+            schema = Schema(len(self._contents.schemas) + 1, facts.text, SCHEMA_ENCODING, facts.name)
+            self._contents.schemas[facts] = schema
             self._descriptions.append(schema)
         topic, publisher, life = key
         metadata = {
@@ -251,8 +230,8 @@ class LogWriter:
             "latched": str(latched).lower(),
             "deterministic": str(deterministic).lower(),
         }
-        channel = Channel(len(self._channels) + 1, topic, MESSAGE_ENCODING, metadata, schema.id)
-        self._channels[key] = channel
+        channel = Channel(len(self._contents.channels) + 1, topic, MESSAGE_ENCODING, metadata, schema.id)
+        self._contents.channels[key] = channel
         self._descriptions.append(channel)
         return channel
 
@@ -274,22 +253,22 @@ class LogWriter:
             return
         plain = b"".join(chunk.parts)
         data = self._compressor.compress(plain)
-        described = _bytes(*self._descriptions)
-        record = _bytes(Chunk("zstd", data, chunk.end_ns, chunk.start_ns, zlib.crc32(plain), len(plain)))
+        described = to_bytes(*self._descriptions)
+        record = to_bytes(Chunk("zstd", data, chunk.end_ns, chunk.start_ns, zlib.crc32(plain), len(plain)))
         offsets, indexes, at = {}, [], self.size + len(described) + len(record)
         for channel, entries in chunk.index.items():
             offsets[channel] = at
-            indexes.append(_bytes(MessageIndex(channel, entries)))
+            indexes.append(to_bytes(MessageIndex(channel, entries)))
             at += len(indexes[-1])
         start = self.size + len(described)
         counts = {channel: len(entries) for channel, entries in chunk.index.items()}
         try:
-            self._append(b"".join((described, record, *indexes)))
+            self._file.append(b"".join((described, record, *indexes)))
         except OSError as error:
             self._close_full(error, counts)
         self._descriptions = []
-        self._counts.append(counts)
-        self._chunks.append(
+        self._contents.counts.append(counts)
+        self._contents.chunks.append(
             ChunkIndex(
                 len(record),
                 start,
@@ -303,34 +282,18 @@ class LogWriter:
             )
         )
 
-    def _append(self, data: bytes) -> None:
-        """Write all of `data`, or nothing."""
-        try:
-            if self._quota is not None and self.size + len(data) > self._quota:
-                raise OSError(errno.EDQUOT, f"the quota of {self._quota} bytes is reached")
-            view = memoryview(data)
-            while view:
-                view = view[os.write(self._file, view) :]
-        except OSError:
-            os.ftruncate(self._file, self.size)
-            os.lseek(self._file, self.size, os.SEEK_SET)
-            raise
-        self.size += len(data)
-
     def _close_full(self, error: OSError, given_up: dict[int, int]) -> None:
         """Close a log that cannot grow, giving up chunks at its end until the summary fits."""
         lost = defaultdict(int, given_up)
-        self._quota = None
-        while not self._try_finish() and self._chunks:
-            for channel, count in self._counts.pop().items():
+        self._file.quota = None
+        while not self._try_finish() and self._contents.chunks:
+            for channel, count in self._contents.counts.pop().items():
                 lost[channel] += count
-            self.size = self._chunks.pop().chunk_start_offset
-            os.ftruncate(self._file, self.size)
-            os.lseek(self._file, self.size, os.SEEK_SET)
+            self._file.cut(self._contents.chunks.pop().chunk_start_offset)
         self.messages -= sum(lost.values())
         self.closed = True
-        os.close(self._file)
-        sources = {c.id: f"{c.topic}@{c.metadata['publisher']}" for c in self._channels.values()}
+        self._file.close()
+        sources = {c.id: f"{c.topic}@{c.metadata['publisher']}" for c in self._contents.channels.values()}
         by_source: dict[str, int] = defaultdict(int)
         for channel, count in lost.items():
             by_source[sources[channel]] += count
@@ -342,50 +305,10 @@ class LogWriter:
 
     def _try_finish(self) -> bool:
         try:
-            self._append(self._summary())
+            self._file.append(self._contents.summary(self.size))
         except OSError:
             return False
         return True
-
-    def _summary(self) -> bytes:
-        """Everything that follows the last chunk."""
-        end = _bytes(DataEnd(0))
-        start = self.size + len(end)
-        totals: dict[int, int] = defaultdict(int)
-        for counts in self._counts:
-            for channel, count in counts.items():
-                totals[channel] += count
-        channels = list(self._channels.values())
-        statistics = Statistics(
-            len(self._attachments),
-            len(channels),
-            dict(totals),
-            len(self._chunks),
-            sum(totals.values()),
-            max((c.message_end_time for c in self._chunks), default=0),
-            min((c.message_start_time for c in self._chunks), default=0),
-            len(self._metadata),
-            len(self._schemas),
-        )
-        groups: list[tuple[Opcode, list[Any]]] = [
-            (Opcode.SCHEMA, list(self._schemas.values())),
-            (Opcode.CHANNEL, channels),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._metadata),
-        ]
-        summary, offsets = b"", []
-        for opcode, records in groups:
-            data = _bytes(*records)
-            if data:
-                offsets.append(SummaryOffset(opcode, start + len(summary), len(data)))
-            summary += data
-        offset_start = start + len(summary)
-        summary += _bytes(*offsets)
-        footer_head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
-        crc = zlib.crc32(footer_head, zlib.crc32(summary))
-        return end + summary + _bytes(Footer(start, offset_start, crc)) + MCAP0_MAGIC
 
     def close(self) -> None:
         """Write what is left and the summary.
@@ -397,11 +320,11 @@ class LogWriter:
             return
         self.flush()
         try:
-            self._append(self._summary())
+            self._file.append(self._contents.summary(self.size))
         except OSError as error:
             self._close_full(error, {})
         self.closed = True
-        os.close(self._file)
+        self._file.close()
 
     def __enter__(self) -> "LogWriter":
         return self
@@ -417,10 +340,3 @@ def _schema_text(message_type: type[msgspec.Struct]) -> bytes:
 
 def _canonical_json(value: Any) -> bytes:
     return msgspec.json.encode(value, order="deterministic")
-
-
-def _bytes(*records: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    for record in records:
-        record.write(builder)
-    return builder.end()

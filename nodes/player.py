@@ -25,6 +25,7 @@ from ..messages.schema import compatible, schema_hash
 from ..messages.topics import CLOCK, CONTROL, DIAGNOSTICS, DONE, LOG, PARAMETERS, STEPS, Topic
 from .node import NodeConfig
 from .process import Process, run_process
+from .transport import Transport
 
 log = logging.getLogger(__name__)
 
@@ -51,40 +52,6 @@ class Config(NodeConfig, frozen=True):
     """Stop after the first tick, until `resume` or `step`."""
     report: str | None = None
     """Where to write what was sent and delivered, as JSON."""
-
-
-class Transport:
-    """Play, pause, step, rate, seek: what the control messages have asked for."""
-
-    def __init__(self, rate: float | None, paused: bool) -> None:
-        self.rate = rate
-        self.paused = paused
-        self.steps = 0
-        """Single steps still to take."""
-        self.seek_ns: int | None = None
-        self.changed = False
-        """Whether the wall time of the next tick has to be found anew."""
-
-    def obey(self, name: str, value: Any) -> None:
-        """Take one control verb; others are not the player's business."""
-        try:
-            match name:
-                case "pause" | "resume":
-                    self.paused = name == "pause"
-                case "step":
-                    self.steps += int(value or 1)
-                case "rate":
-                    rate = float(value) if value is not None else None
-                    if rate is not None and rate <= 0:
-                        raise ValueError("must be above 0")
-                    self.rate = rate
-                case "seek":
-                    self.seek_ns = round(float(value) * 1e9)
-                case _:
-                    return
-            self.changed = True
-        except (TypeError, ValueError) as error:
-            log.error("control %s: %r: %s", name, value, error)
 
 
 class Player:

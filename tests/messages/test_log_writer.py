@@ -76,7 +76,7 @@ def test_full_disk_injected(tmp_path, monkeypatch, room):
     writer = LogWriter(tmp_path / "a.mcap", chunk_bytes=20_000)
     fill(writer, 10)
     writer.flush()
-    good, limit = writer.messages, os.fstat(writer._file).st_size + room
+    good, limit = writer.messages, writer.path.stat().st_size + room
     real_write = os.write
 
     def short_of_room(file: int, data: memoryview) -> int:

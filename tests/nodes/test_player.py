@@ -2,7 +2,7 @@ import logging
 
 import pytest
 
-from footfall.nodes.player import Transport
+from footfall.nodes.transport import Transport
 
 
 def test_transport_obeys():
