@@ -1,5 +1,7 @@
 """A graph's own topics beside the built-in ones."""
 
+import os
+import sys
 from importlib import import_module
 
 from .config import ConfigError
@@ -14,6 +16,8 @@ def resolve_topics(graph: Graph) -> dict[str, Topic]:
         ConfigError: a custom topic has a built-in one's name, cannot be imported or is not a `Topic`.
     """
     topics = dict(TOPICS)
+    if graph.custom_topics and os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())  # where `python -m` looks, and so the nodes themselves
     for name, path in graph.custom_topics.items():
         if name in TOPICS:
             raise ConfigError(f"topic {name}: is a built-in one; choose another name")
