@@ -126,17 +126,26 @@ def part_of(array: np.ndarray, *, kept: bool) -> Any:
     """
     if array.nbytes < ZERO_COPY_BYTES:
         return array.tobytes() if kept else array
-    return zmq.Frame((array if _frozen(array) else array.copy()).data.cast("B"), copy=False)
+    owner = _owner(array)
+    if owner is _WRITABLE:
+        array = array.copy()
+    elif isinstance(owner, memoryview) and isinstance(owner.obj, zmq.Frame) and owner.nbytes == array.nbytes:
+        return owner.obj  # as it came in
+    return zmq.Frame(array.data.cast("B"), copy=False)
 
 
-def _frozen(array: np.ndarray) -> bool:
-    """Whether neither the array nor any array it is a view of can be written to."""
-    owner = array
+_WRITABLE = object()
+
+
+def _owner(array: np.ndarray) -> object:
+    """What holds the memory of an array nobody can write to: None for itself; `_WRITABLE` if somebody can."""
+    owner: object = array
     while isinstance(owner, np.ndarray):
         if owner.flags.writeable:
-            return False
+            return _WRITABLE
         owner = owner.base
-    return owner is None or isinstance(owner, bytes) or isinstance(getattr(owner, "obj", None), zmq.Frame)
+    harmless = owner is None or isinstance(owner, bytes) or isinstance(getattr(owner, "obj", None), zmq.Frame)
+    return owner if harmless else _WRITABLE
 
 
 def send_parts(socket: zmq.Socket, parts: Sequence[Any]) -> None:

@@ -403,3 +403,20 @@ def test_a_signal_ends_a_poll_and_leaves_the_bus_usable(bus: Open) -> None:
         signal.signal(signal.SIGALRM, before)
     source.publish(DATA, Sample(3), 0)
     assert numbers(collect(sink, 1)) == [3]
+
+
+def test_what_came_in_goes_out_again_as_it_is(bus: Open) -> None:
+    relay = NodeSpec("relay", "m", {"data": Input("data", "queue", 5)}, {"back": "back"})
+    sink = NodeSpec("sink", "m", {"back": Input("back", "queue", 5)})
+    source = NodeSpec("source", "m", outputs={"data": "data"})
+    graph = Graph("test", [source, relay, sink], clock=ClockSpec("free"))
+    first, middle, last = (bus(graph, name) for name in ("source", "relay", "sink"))
+    assert first.wait_connected(5.0) == [] == middle.wait_connected(5.0)
+    data = np.arange(100_000, dtype="f4")
+    first.publish(DATA, Sample(1, data), 0)
+    received = collect(middle, 1)[0]
+    middle.publish(BACK, received.message, 0)
+    middle.publish(BACK, Sample(2, received.message.data[:50_000]), 0)
+    got = [one.message.data for one in collect(last, 2)]
+    np.testing.assert_array_equal(got[0], data)
+    np.testing.assert_array_equal(got[1], data[:50_000])
