@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -82,18 +81,11 @@ def parameters(graph: "Graph") -> dict[str, dict[str, Any]]:
     """What every node runs with, from the latched topic `parameters`."""
     from time import monotonic
 
-    import msgspec
-
     from ..messages.bus import take
-    from ..messages.graph import Input, NodeSpec
     from ..messages.topics import PARAMETERS
-    from ..messages.zmq_bus import ZmqBus
+    from .observe import observer
 
-    name = f"param-{os.getpid()}"
-    client = NodeSpec(
-        name, __name__, {PARAMETERS.name: Input(PARAMETERS.name, "queue", 1000)}, lockstep=False
-    )
-    bus = ZmqBus(msgspec.structs.replace(graph, nodes=[*graph.nodes, client]), name)
+    bus = observer(graph, [PARAMETERS.name])
     found: dict[str, dict[str, Any]] = {}
     deadline = monotonic() + TIMEOUT
     publishers = graph.publishers(PARAMETERS.name)
