@@ -256,7 +256,7 @@ class RawNear:
         self.socket = self.context.socket(zmq.PAIR)
         self.socket.setsockopt(zmq.SNDHWM, 128)
         self.socket.bind(f"ipc://{run_dir}/raw")
-        self.arrays = {size: _raw_array(sample(size)) for size in SIZES}
+        self.arrays = {size: _raw_bytes(sample(size)) for size in SIZES}
 
     def round_trip(self, size: str) -> None:
         """Send an array and receive one."""
@@ -282,9 +282,9 @@ class RawNear:
         self.context.term()
 
 
-def _raw_array(message: msgspec.Struct) -> np.ndarray:
+def _raw_bytes(message: msgspec.Struct) -> bytes:
     parts = [getattr(message, name) for name in message.__struct_fields__]
-    return np.frombuffer(b"".join(part.tobytes() for part in parts), np.uint8)
+    return b"".join(part.tobytes() for part in parts)
 
 
 @dataclass
@@ -292,13 +292,16 @@ class _Series:
     """What was measured of one transport at one size."""
 
     round_trips: list[float] = field(default_factory=list)
-    """[s]"""
+    """One after the other, as fast as it goes [s]."""
+    paced: list[float] = field(default_factory=list)
+    """One a millisecond or slower, as nodes talk: everybody has gone to sleep in between [s]."""
     rates: list[float] = field(default_factory=list)
     """Messages a second."""
 
 
 ROUND_TRIPS = {"64": 4000, "39k": 4000, "1m": 1200, "6m": 300}
 FLOODS = {"64": 4000, "39k": 2000, "1m": 200, "6m": 60}
+PACED = 800
 TURNS = 20
 
 
@@ -306,8 +309,9 @@ def measure(quick: bool = False, sizes: tuple[str, ...] = tuple(SIZES)) -> dict[
     """Both transports in turns; medians, their ratios, and the age of `latest` behind a busy consumer.
 
     Returns:
-        `rtt_ratio` and `throughput_ratio` (ours by raw) by size, `rtt_us` and `messages_per_second` by
-        transport and size, `latest_age_ms` (`median` and `max`), `goals_met`.
+        `rtt_ratio`, `paced_rtt_ratio` and `throughput_ratio` (ours by raw) by size; `rtt_us`,
+        `paced_rtt_us` and `messages_per_second` by transport and size; `latest_age_ms` (`median` and
+        `max`); `goals_met`.
     """
     share = 5 if quick else 1
     with tempfile.TemporaryDirectory(prefix="ffbench-") as run_dir:
@@ -341,6 +345,11 @@ def _take_turn(end: "RawNear | OurNear", size: str, series: _Series, share: int)
         begin = perf_counter()
         end.round_trip(size)
         series.round_trips.append(perf_counter() - begin)
+    for _ in range(max(3, PACED // TURNS // share)):
+        sleep(1e-3)
+        begin = perf_counter()
+        end.round_trip(size)
+        series.paced.append(perf_counter() - begin)
     count = max(5, FLOODS[size] // TURNS // share)
     begin = perf_counter()
     end.flood(size, count)
@@ -353,11 +362,18 @@ def _summary(series: dict[str, dict[str, _Series]], ages: list[float]) -> dict[s
     rtt = {size: median(ours[size].round_trips) / median(raw[size].round_trips) for size in raw}
     return {
         "rtt_ratio": {size: round(ratio, 3) for size, ratio in rtt.items()},
+        "paced_rtt_ratio": {
+            size: round(median(ours[size].paced) / median(raw[size].paced), 3) for size in raw
+        },
         "throughput_ratio": {
             size: round(median(ours[size].rates) / median(raw[size].rates), 3) for size in raw
         },
         "rtt_us": {
             name: {size: round(median(one.round_trips) * 1e6, 1) for size, one in by_size.items()}
+            for name, by_size in series.items()
+        },
+        "paced_rtt_us": {
+            name: {size: round(median(one.paced) * 1e6, 1) for size, one in by_size.items()}
             for name, by_size in series.items()
         },
         "messages_per_second": {
@@ -383,7 +399,11 @@ def run(args: argparse.Namespace) -> int:
         print(title)
         for name, row in rows.items():
             print(f"  {name:14}" + "".join(f"{row[size]:12.1f}" for size in SIZES))
-    for title, key in (("round trip", "rtt_ratio"), ("throughput", "throughput_ratio")):
+    for title, key in (
+        ("round trip", "rtt_ratio"),
+        ("paced", "paced_rtt_ratio"),
+        ("throughput", "throughput_ratio"),
+    ):
         print(f"{title + ' ratio':16}" + "".join(f"{result[key][size]:12.2f}" for size in SIZES))
     print(f"{'goal':16}" + "".join(f"{goal:12.2f}" for goal in GOALS.values()))
     age = result["latest_age_ms"]
