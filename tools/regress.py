@@ -2,6 +2,8 @@
 
 import argparse
 import json
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +33,8 @@ def run(args: argparse.Namespace) -> int:
     from ..messages.log import LogReader
     from .regress_node import regress, write_update
 
+    if os.getcwd() not in sys.path:  # where nodes of one's own were found when they ran
+        sys.path.append(os.getcwd())
     reader = LogReader(args.log)
     result = regress(reader, args.node, tolerance_of(args))
     if args.update:
