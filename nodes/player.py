@@ -2,7 +2,7 @@
 
 In: control, diagnostics (to see what was delivered), done in lockstep. Out: clock, and the recorded topics
 the launch file names as its outputs. Messages keep their stamps; the order is the order of sending.
-Obeys the control verbs `pause`, `resume`, `step`, `rate` (None: as fast as it goes) and `seek` [s].
+Obeys the control verbs `pause`, `resume`, `step`, `rate` (0: as fast as it goes) and `seek` [s].
 """
 
 import json

@@ -27,9 +27,9 @@ class Transport:
                 case "step":
                     self.steps += int(value or 1)
                 case "rate":
-                    rate = float(value) if value is not None else None
-                    if rate is not None and rate <= 0:
-                        raise ValueError("must be above 0")
+                    rate = float(value) if value else None  # 0 is as fast as it goes
+                    if rate is not None and rate < 0:
+                        raise ValueError("must not be below 0")
                     self.rate = rate
                 case "seek":
                     self.seek_ns = round(float(value) * 1e9)
