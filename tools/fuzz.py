@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from time import perf_counter
+from typing import Any
 
 import msgpack
 import numpy as np
@@ -250,11 +251,11 @@ MUTATIONS: list[Mutation | None] = [
 """None is `splice`, which takes two messages."""
 
 
-def _arrays(value: object) -> Iterator[tuple[dict | list, object]]:
+def _arrays(value: Any) -> Iterator[tuple[Any, Any]]:
     """Where the arrays of a plain body stand: container and key."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, item in items:
         if isinstance(item, list) and len(item) == 3 and isinstance(item[0], str) and item[0][:1] in "<|":
-            yield value, key  # type: ignore[misc]
+            yield value, key
         else:
             yield from _arrays(item)

@@ -1,5 +1,6 @@
-"""Bytes of every message type: golden, round trip, plain msgpack, schema hashes, errors that name the field."""
+"""Bytes of every message type: golden, round trip, plain msgpack, schema hashes, errors."""
 
+import typing
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -111,9 +112,9 @@ def value_of(field: Any, length: int) -> st.SearchStrategy[Any]:
 
 
 def plain_value(annotation: Any, length: int) -> st.SearchStrategy[Any]:
-    origin, arguments = getattr(annotation, "__origin__", None), getattr(annotation, "__args__", ())
+    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if hasattr(annotation, "__metadata__"):
-        return plain_value(origin, length)
+        return plain_value(arguments[0], length)
     if origin is Literal:
         return st.sampled_from(arguments)
     if origin is list:
@@ -316,7 +317,7 @@ def test_numpy_scalars_are_numbers() -> None:
     ],
 )
 def test_bad_headers(head: bytes, text: str) -> None:
-    with pytest.raises(MessageError, match="^t: header") as caught:
+    with pytest.raises(MessageError, match=r"^t: header") as caught:
         Header.unpack("t", head)
     assert text in str(caught.value)
 
