@@ -120,7 +120,11 @@ class LogWriter:
         self._contents = Contents()
         self._codecs: dict[str, Codec] = {}
         self._file = AppendFile(self.path, overwrite, quota)
-        self._begin(graph, dict(metadata or {}))
+        try:
+            self._begin(graph, dict(metadata or {}))
+        except OSError as error:
+            self._file.close()
+            raise LogError(f"{self.path}: cannot be written: {error.strerror}") from None
 
     @property
     def size(self) -> int:
@@ -193,6 +197,8 @@ class LogWriter:
         self._add(channel, item.sequence, item.stamp_ns, item.sent_ns, item.record)
 
     def _add(self, channel: Channel, sequence: int, stamp_ns: int, sent_ns: int, record: bytes) -> None:
+        if self.closed:
+            raise LogError(f"{self.path}: is closed")
         chunk = self._chunk
         chunk.index[channel.id].append((stamp_ns, chunk.size))
         length = 22 + len(record)

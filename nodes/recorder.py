@@ -193,7 +193,11 @@ class Recorder:
         self._writer.close()
         self._closed_bytes += self._writer.size
         repeated = {source: str(item.sequence) for source, item in self._latched.items()}
-        self._writer = self._open(repeated)
+        try:
+            self._writer = self._open(repeated)
+        except LogError as error:  # no room for another file
+            self._closed_bytes -= self._writer.size
+            raise DiskFullError(str(error), {}) from None
         for item in self._latched.values():
             self._put(item)
 

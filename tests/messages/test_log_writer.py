@@ -10,7 +10,7 @@ import pytest
 from mcap.reader import make_reader
 
 from footfall.messages.clock import Clock
-from footfall.messages.log import DiskFullError, LogReader, LogWriter
+from footfall.messages.log import DiskFullError, LogError, LogReader, LogWriter
 from footfall.messages.map import SemanticMap
 from footfall.messages.topics import CLOCK, MAP
 
@@ -58,6 +58,18 @@ def test_closing_twice_is_harmless(tmp_path):
     writer.close()
     assert writer.path.stat().st_size == size
     assert independent_count(writer.path) == 0
+
+
+def test_a_closed_log_takes_no_more(tmp_path):
+    writer = LogWriter(tmp_path / "a.mcap")
+    writer.close()
+    with pytest.raises(LogError, match="is closed"):
+        fill(writer, 1)
+
+
+def test_no_room_to_begin(tmp_path):
+    with pytest.raises(LogError, match="cannot be written: the quota of 10 bytes is reached"):
+        LogWriter(tmp_path / "a.mcap", quota=10)
 
 
 def test_quota_stops_with_a_finished_file(tmp_path):

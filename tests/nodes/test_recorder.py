@@ -250,6 +250,16 @@ def test_quota_counts_what_is_lost(tmp_path):
     assert recorder.unwritten["clock@source"] == recorder.lost == 3000 - count
 
 
+def test_no_room_for_the_next_split(tmp_path):
+    config = Config(str(tmp_path / "run.mcap"), split_duration=0.1, quota=0.009, chunk_size=1)
+    recorder = Recorder(config, Graph("test", []))
+    record_directly(recorder, range(1000))
+    assert recorder.full and recorder.lost > 0
+    recorder.close()
+    counts = [LogReader(path).message_count for path in recorder.paths]
+    assert sum(counts) >= recorder.written["clock@source"] == 1000 - recorder.lost > 0
+
+
 def test_existing_log(tmp_path):
     (tmp_path / "run.mcap").touch()
     with pytest.raises(LogError, match="exists already"):

@@ -3,8 +3,10 @@ import shutil
 import msgspec
 import pytest
 
+from footfall.messages.diagnostics import StepTrace
 from footfall.messages.log import LogReader, LogWriter
-from footfall.messages.topics import SCORE
+from footfall.messages.score import Score
+from footfall.messages.topics import AGENTS, MAP, SCORE, STEPS
 
 pytestmark = pytest.mark.slow
 
@@ -96,6 +98,35 @@ def test_users_errors(tiny_run, tmp_path):
     assert "holds no steps of keeper" in error(copy("a.mcap", "steps"), "--node", "keeper")
     text = error(copy("b.mcap", "agents", 7), "--node", "keeper")
     assert "lacks message 7 of agents@walker, which step 7 of keeper took" in text
+
+
+def test_a_restarted_node_begins_anew(tiny_run, tmp_path):
+    """The second life's numbers start at 1 << 32; its sum starts at 0 again."""
+    recorded = LogReader(tiny_run.log)
+    agents = list(recorded.read(AGENTS))
+    (place,) = recorded.read(MAP)
+
+    def score(count: int, total: float) -> Score:
+        return Score(count, count, 0, 0, total, 0.0, 0.0, 0)
+
+    path = tmp_path / "lives.mcap"
+    with LogWriter(path, recorded.graph) as writer:
+        writer.copy(place)
+        for life, (first, last) in enumerate([(10, 14), (20, 23)]):
+            base, total = life << 32, 0.0
+            writer.write_message(SCORE, "keeper", base, 0, 0, score(0, 0.0))
+            for number, item in enumerate(agents[first:last]):
+                writer.copy(item)
+                total += 2.0 * float(item.message.now[:, 0].sum())
+                writer.write_message(SCORE, "keeper", base + number + 1, item.stamp_ns, 0, score(2, total))
+                consumed = {item.source: [item.sequence]}
+                if number == 0:
+                    consumed[place.source] = [place.sequence]
+                trace = StepTrace("keeper", number, consumed, {"score": [base + number + 1]})
+                writer.write_message(STEPS, "keeper", base + number, item.stamp_ns, 0, trace)
+    facts = tiny_run.json("regress", path, "--node", "keeper")
+    assert facts["same"] and facts["steps"] == 7
+    assert facts["topics"] == {"score": {"recorded": 9, "now": 9}}
 
 
 def test_the_graph_must_be_attached(tiny_run, tmp_path):
