@@ -61,7 +61,7 @@ def node_type_of(spec: NodeSpec) -> type[Node]:
     """
     try:
         module = import_module(spec.module)
-    except ImportError as error:
+    except (ImportError, SyntaxError) as error:
         raise ConfigError(f"{spec.name}: cannot import {spec.module}: {error}") from None
     if isinstance(found := getattr(module, "NODE", None), type) and issubclass(found, Node):
         return found
