@@ -33,10 +33,16 @@ class MessageError(ValueError):
     """A message that is not what its topic promises: names the topic, the field and the reason."""
 
     def __init__(self, topic: str, field: str, reason: str) -> None:
+        field, reason = _short(field), _short(reason)
         super().__init__(f"{topic}: {field}: {reason}" if field else f"{topic}: {reason}")
         self.topic = topic
         self.field = field
         self.reason = reason
+
+
+def _short(text: str) -> str:
+    """A hostile message must not become a page of log."""
+    return text if len(text) <= 400 else f"{text[:200]}...{text[-100:]}"
 
 
 class Header(msgspec.Struct, frozen=True):
@@ -113,6 +119,7 @@ class Codec(Generic[M]):
         self._check(message)
         self._frames = frames = []
         body = self._encode(message)
+        self._frames = []
         if len(frames) > MAX_FRAMES:
             raise MessageError(self.topic, "frames", f"{len(frames)} large arrays, at most {MAX_FRAMES} fit")
         return body, frames

@@ -5,6 +5,7 @@ Whatever comes, an inlet either hands out a valid message or counts a `MessageEr
 
 import argparse
 import json
+import re
 import resource
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -120,7 +121,8 @@ def _feed(topic: str, codec: Codec, parts: Parts, mutation: str, result: Result)
     for fault in inlet.faults:
         if not isinstance(fault, MessageError) or fault.topic != topic:
             result.crashes.append(f"{topic}: {mutation}: {fault!r} does not name the topic")
-        result.fields[f"{topic}.{fault.field}"] += 1
+        name = re.match(r"\w*", fault.field)
+        result.fields[f"{topic}.{name[0] if name else ''}"] += 1
 
 
 def flip_bits(parts: Parts, rng: np.random.Generator) -> Parts:
