@@ -14,9 +14,10 @@ from ..messages.bus import Bound, take
 from ..messages.config import near
 from ..messages.diagnostics import Control, Diagnostics, InputStats, OutputStats
 from ..messages.graph import LAUNCHER, Graph
-from ..messages.link import Failed, Finished, Go, Line, Ready, Reply, Request
+from ..messages.link import Failed, Finished, Go, Line, Ready, Reply, Request, Steer
 from ..messages.score import Score
-from ..messages.topics import CONTROL, DIAGNOSTICS, GRAPH, LOG, SCORE, Topic
+from ..messages.steering import Steering
+from ..messages.topics import CONTROL, DIAGNOSTICS, GRAPH, LOG, SCORE, STEERING, Topic
 from ..messages.zmq_bus import ZmqBus
 from .console import Console, status_text
 from .link_server import LinkServer
@@ -203,6 +204,8 @@ class Runner:
                 self._ended = f"{line.node} failed" if node.required else ""
         elif isinstance(line, Request):
             self.link.send(identity, self._obey(line))
+        elif isinstance(line, Steer):
+            self.link.send(identity, self._steer(line))
 
     def _obey(self, request: Request) -> Reply:
         names = self.supervisor.names
@@ -212,6 +215,12 @@ class Runner:
             return Reply(f"no node {request.node!r}; {near(request.node, names)}")
         else:
             self.bus.publish(CONTROL, Control(request.node, request.name, request.value), self._sim_ns)
+        return Reply()
+
+    def _steer(self, line: Steer) -> Reply:
+        if not any(STEERING.name == wire.topic for node in self.graph.nodes for wire in node.inputs.values()):
+            return Reply(f"nobody in {self.graph.name} listens to {STEERING.name}")
+        self.bus.publish(STEERING, Steering(line.command), self._sim_ns)
         return Reply()
 
     def _take_death(self, death: Death) -> None:

@@ -7,7 +7,7 @@ import msgspec
 
 from ..messages.config import ConfigError, near
 from ..messages.graph import LAUNCHER, Graph, Input, NodeSpec
-from ..messages.topics import CLOCK, CONTROL, DIAGNOSTICS, DONE, LOG, PARAMETERS, STEPS
+from ..messages.topics import CLOCK, CONTROL, DIAGNOSTICS, DONE, LOG, PARAMETERS, STEERING, STEPS
 from .wiring import clock_owners
 
 PLAYER = "player"
@@ -100,7 +100,7 @@ def _topics_of(name: str, nodes: Mapping[str, NodeSpec], recorded: Mapping[str, 
 def _check_sources(live: list[NodeSpec], outputs: Mapping[str, str]) -> None:
     """Whatever the live nodes listen to must come from the log or from one of them."""
     own = {topic for node in live for topic in node.outputs.values()}
-    given = own | {*outputs.values()} | _OF_EVERY_NODE | {CONTROL.name}
+    given = own | {*outputs.values()} | _OF_EVERY_NODE | {CONTROL.name, STEERING.name}
     for node in live:
         for wire in node.inputs.values():
             if wire.topic not in given:

@@ -15,6 +15,7 @@ from ..messages.topics import (
     LOG,
     PARAMETERS,
     SCORE,
+    STEERING,
     STEPS,
     TOPICS,
     Topic,
@@ -66,7 +67,7 @@ def _launcher(nodes: list[NodeSpec]) -> NodeSpec:
     inputs[CLOCK.name] = Input(CLOCK.name)
     if any(SCORE.name in node.outputs.values() for node in nodes):
         inputs[SCORE.name] = Input(SCORE.name)
-    outputs = {topic.name: topic.name for topic in (CONTROL, GRAPH)}
+    outputs = {topic.name: topic.name for topic in (CONTROL, GRAPH, STEERING)}
     return NodeSpec(LAUNCHER, "footfall.launch.runner", inputs, outputs, lockstep=False)
 
 

@@ -7,6 +7,7 @@ import zmq
 
 from .bus import Bound
 from .graph import Graph
+from .steering import Command
 
 
 class Ready(msgspec.Struct, frozen=True, tag=True):
@@ -53,13 +54,19 @@ class Request(msgspec.Struct, frozen=True, tag=True):
     value: bool | int | float | str | None = None
 
 
+class Steer(msgspec.Struct, frozen=True, tag=True):
+    """Client to launcher: ask something of the scene; it goes out as `steering`."""
+
+    command: Command
+
+
 class Reply(msgspec.Struct, frozen=True, tag=True):
     """Launcher to client: done, or why not."""
 
     error: str | None = None
 
 
-Line = Ready | Go | Stop | Finished | Failed | Request | Reply
+Line = Ready | Go | Stop | Finished | Failed | Request | Steer | Reply
 
 _decoder = msgspec.json.Decoder(Line)
 

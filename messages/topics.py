@@ -15,6 +15,7 @@ from .objectives import Objectives
 from .plan import Plans
 from .population import Admissions, Population, RecordedTracks
 from .score import Score
+from .steering import Steering
 
 M = TypeVar("M", bound=msgspec.Struct)
 
@@ -64,6 +65,7 @@ FALLS = Topic("falls", Falls)
 SCORE = Topic("score", Score, rate_hz=1, latched=True)
 DONE = Topic("done", Done, shared=True, deterministic=False, recorded=False)
 CONTROL = Topic("control", Control)
+STEERING = Topic("steering", Steering, shared=True)
 DIAGNOSTICS = Topic("diagnostics", Diagnostics, shared=True, deterministic=False)
 LOG = Topic("log", LogLine, shared=True, deterministic=False)
 PARAMETERS = Topic("parameters", Parameters, latched=True, shared=True)

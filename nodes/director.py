@@ -1,33 +1,34 @@
 """Directs the scene: who enters where and when, with which body, heading where.
 
-In: agents (10 Hz). Out: population and recorded tracks (latched, at the start), admissions (when somebody
-enters, leaves or arrives), objectives (latched, whenever somebody's change).
+In: agents (10 Hz), steering. Out: population and recorded tracks (latched, at the start), admissions (when
+somebody enters, leaves or arrives), objectives (latched, whenever somebody's change).
 """
 
+import logging
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import replace
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from ..messages.agents import AgentStates
 from ..messages.config import ConfigError
-from ..messages.objectives import (
-    AgentObjectives,
-    Objectives,
-    ObstacleAvoidance,
-    SocialDistance,
-    SocialGroup,
-    TargetSpeed,
-    Waypoint,
-)
+from ..messages.objectives import Objectives
 from ..messages.population import Admissions, Enter, Population, RecordedTracks
-from ..messages.topics import ADMISSIONS, AGENTS, OBJECTIVES, POPULATION, RECORDED_TRACKS, Outgoing
+from ..messages.steering import Remove, Spawn
+from ..messages.topics import ADMISSIONS, AGENTS, OBJECTIVES, POPULATION, RECORDED_TRACKS, STEERING, Outgoing
 from ..models.body import sample_shapes
 from ..models.scene import Entry, NewGoal, RandomPopulation, Scene, SceneError, load_scene
+from .director_book import Book, Person
 from .node import Inbox, Node, NodeConfig
 from .spin import spin
+
+log = logging.getLogger(__name__)
+
+NEVER = 1e9
+"""Time of entry of those who come only when asked for [s]."""
 
 
 class Config(NodeConfig, frozen=True):
@@ -46,26 +47,15 @@ class Config(NodeConfig, frozen=True):
     """Distance from the goal at which it counts as reached [m]."""
     clearance: float = 0.6
     """Distance from others at which somebody enters [m]."""
-
-
-@dataclass
-class _Person:
-    """One pedestrian in the director's book."""
-
-    id: int
-    entry: Entry
-    goal: np.ndarray
-    inside: bool = False
-    gone: bool = False
-    goals: int = 0
-    """How many goals were reached."""
+    spare: Annotated[int, Meta(ge=0)] = 0
+    """People in reserve of a random population, who enter only when steering asks for somebody."""
 
 
 class Director(Node[Config]):
     """Lets people in and out, and tells the planner what they want."""
 
     Config = Config
-    inputs = (AGENTS,)
+    inputs = (AGENTS, STEERING)
     outputs = (POPULATION, RECORDED_TRACKS, ADMISSIONS, OBJECTIVES)
     requires = (AGENTS,)
     trigger = AGENTS
@@ -77,18 +67,21 @@ class Director(Node[Config]):
             entries = self._scene.sample_population(seed, config.count, config.until)
         except SceneError as error:
             raise ConfigError(str(error)) from None
+        if config.spare and isinstance(self._scene.population, RandomPopulation):
+            reserve = self._scene.sample_population(seed + 1, config.spare)
+            entries = [*entries, *(replace(entry, time=NEVER, group=None) for entry in reserve)]
         if not entries:
             raise ConfigError(
                 f"scene {config.scene}: nobody enters; give it a population, or a later `until`"
             )
-        self._people = [_Person(i, entry, np.asarray(entry.goal)) for i, entry in enumerate(entries)]
+        self._book = Book(entries)
         random = isinstance(self._scene.population, RandomPopulation)
         self._walk_on = config.on_arrival == "walk_on" or (config.on_arrival == "auto" and random)
         self._events = [event for event in self._scene.events if isinstance(event, NewGoal)]
 
     def start(self) -> Iterable[Outgoing]:
         """Everybody who may enter, and how they were recorded."""
-        people = self._people
+        people = self._book.people
         yield POPULATION(
             Population(
                 ids=np.arange(len(people), dtype=np.int32),
@@ -110,24 +103,35 @@ class Director(Node[Config]):
         agents = inbox.require(AGENTS)
         where = dict(zip(agents.ids.tolist(), agents.now[:, :2].astype(np.float64), strict=True))
         changed = self._new_goals(inbox.now)
-        reached = [p for p in self._people if p.id in where and self._arrived(p, where[p.id], inbox.now)]
-        leave = [] if self._walk_on else reached
+        enter, leave = [], []
+        for steering in inbox.new(STEERING):
+            command = steering.command
+            if not self._book.knows(command):
+                continue
+            match command:
+                case Remove(agent=agent):
+                    leave += self._remove(agent)
+                case Spawn():
+                    enter += self._spawn(command, agents, enter)
+                case _:
+                    changed |= self._book.change(command)
+        present = [p for p in self._book.people if p.inside and p.id in where]
+        reached = [p for p in present if self._arrived(p, where[p.id], inbox.now)]
         for person in reached:
-            person.goals += 1
+            person.goals, person.at = person.goals + 1, None
             if self._walk_on:
                 person.goal = self._next_goal(person)
             else:
-                person.inside, person.gone = False, True
-        enter = self._admit(inbox.now, agents)
+                leave += self._remove(person.id)
+        enter += self._admit(inbox.now, agents)
         outgoing: list[Outgoing] = []
-        if enter or reached:
-            ids = [p.id for p in leave]
-            outgoing.append(ADMISSIONS(Admissions(enter, ids, [p.id for p in reached])))
-        if changed or enter or reached:
-            outgoing.append(OBJECTIVES(self._objectives()))
+        if enter or reached or leave:
+            outgoing.append(ADMISSIONS(Admissions(enter, leave, [p.id for p in reached])))
+        if changed or enter or reached or leave:
+            outgoing.append(OBJECTIVES(self._book.objectives()))
         return outgoing
 
-    def _arrived(self, person: _Person, here: np.ndarray, now: float) -> bool:
+    def _arrived(self, person: Person, here: np.ndarray, now: float) -> bool:
         """Whether somebody has reached the goal; who was recorded standing stays as long as they did."""
         radius = self.config.arrival_radius
         if person.entry.group is not None:  # others of the group may stand on the very point
@@ -142,30 +146,47 @@ class Director(Node[Config]):
     def _admit(self, now: float, agents: AgentStates) -> list[Enter]:
         """Who enters now: those who are due and find room, at their place or a step beside it."""
         taken = [xy for xy in agents.now[:, :2].astype(np.float64)]
-        taken += [np.asarray(p.entry.xy) for p in self._people if p.inside and p.id not in agents.ids]
+        taken += [np.asarray(p.entry.xy) for p in self._book.people if p.inside and p.id not in agents.ids]
         enter = []
-        for person in self._people:
+        for person in self._book.people:
             if person.inside or person.gone or person.entry.time > now + 1e-6:
                 continue
-            place = self._room(person, taken)
+            place = self._room(np.asarray(person.entry.xy, dtype=np.float64), taken)
             if place is None:
                 continue
             person.inside = True
             taken.append(place)
             towards = person.entry.velocity if np.any(person.entry.velocity) else person.goal - place
-            enter.append(
-                Enter(
-                    id=person.id,
-                    position=(float(place[0]), float(place[1])),
-                    heading=float(np.arctan2(towards[1], towards[0])),
-                    speed=float(np.linalg.norm(person.entry.velocity)),
-                )
-            )
+            enter.append(_entrance(person, place, towards, float(np.linalg.norm(person.entry.velocity))))
         return enter
 
-    def _room(self, person: _Person, taken: list[np.ndarray]) -> np.ndarray | None:
-        """The wanted place, or the nearest free one within a metre, or None."""
-        wanted = np.asarray(person.entry.xy, dtype=np.float64)
+    def _spawn(self, command: Spawn, agents: AgentStates, entering: list[Enter]) -> list[Enter]:
+        """Let in who waits longest to be asked; somebody who was there before only if nobody else is left."""
+        absent = [p for p in self._book.people if not p.inside and p.id not in agents.ids]
+        if not absent:
+            log.warning("steering: everybody is there already; give the director `spare` people")
+            return []
+        person = min(absent, key=lambda p: (p.gone, -p.entry.time, p.id))
+        taken = [*agents.now[:, :2].astype(np.float64), *(np.array(enter.position) for enter in entering)]
+        place = self._room(np.array(command.position), taken)
+        if place is None:
+            log.warning("steering: no room for somebody at %.2f, %.2f", *command.position)
+            return []
+        person.inside, person.gone = True, False
+        if command.goal is not None:
+            person.goal = np.array(command.goal)
+        return [_entrance(person, place, person.goal - place, 0.0)]
+
+    def _remove(self, agent: int) -> list[int]:
+        """Take somebody out, if there."""
+        person = self._book.people[agent]
+        if not person.inside:
+            return []
+        person.inside, person.gone = False, True
+        return [agent]
+
+    def _room(self, wanted: np.ndarray, taken: list[np.ndarray]) -> np.ndarray | None:
+        """The wanted place (2,) [m], or the nearest free one within a metre, or None."""
         places = np.concatenate([wanted[None], wanted + _RINGS])
         if taken:
             gaps = np.linalg.norm(places[:, None] - np.stack(taken), axis=-1).min(axis=1)
@@ -179,14 +200,14 @@ class Director(Node[Config]):
         due = [event for event in self._events if event.time <= now]
         self._events = self._events[len(due) :]
         for event in due:
-            if event.agent < len(self._people):
-                person = self._people[event.agent]
+            if event.agent < len(self._book.people):
+                person = self._book.people[event.agent]
                 person.goal = (
                     self._point(person, event.goal) if isinstance(event.goal, str) else np.array(event.goal)
                 )
         return bool(due)
 
-    def _next_goal(self, person: _Person) -> np.ndarray:
+    def _next_goal(self, person: Person) -> np.ndarray:
         """A point in another area people walk to; the same for the same seed, person and count."""
         population = self._scene.population
         flows = population.flows if isinstance(population, RandomPopulation) else ()
@@ -196,39 +217,21 @@ class Director(Node[Config]):
         rng = np.random.default_rng([self.seed, person.id, person.goals])
         return self._point(person, far[int(rng.integers(len(far)))])
 
-    def _point(self, person: _Person, area: str) -> np.ndarray:
+    def _point(self, person: Person, area: str) -> np.ndarray:
         """A free point of an area."""
         rng = np.random.default_rng([self.seed, person.id, person.goals, 1])
         return free_point(self._scene, area, rng)
-
-    def _objectives(self) -> Objectives:
-        inside = [person for person in self._people if person.inside]
-        groups: dict[int, list[int]] = {}
-        for person in inside:
-            if person.entry.group is not None:
-                groups.setdefault(person.entry.group, []).append(person.id)
-        return Objectives(
-            agents=[
-                AgentObjectives(
-                    person.id,
-                    [
-                        Waypoint((float(person.goal[0]), float(person.goal[1]))),
-                        TargetSpeed(person.entry.preferred_speed),
-                        SocialDistance(),
-                        ObstacleAvoidance(),
-                    ],
-                )
-                for person in inside
-            ],
-            groups=[
-                SocialGroup(i, min(ids), sorted(ids)) for i, ids in sorted(groups.items()) if len(ids) > 1
-            ],
-        )
 
 
 _BODY_RADIUS = 0.35
 _ANGLES = np.linspace(0, 2 * np.pi, 12, endpoint=False)
 _RINGS = np.concatenate([r * np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1) for r in (0.35, 0.7, 1.05)])
+
+
+def _entrance(person: Person, place: np.ndarray, towards: np.ndarray, speed: float) -> Enter:
+    """Somebody enters at a place (2,) [m], facing a direction (2,)."""
+    x, y = place.tolist()
+    return Enter(person.id, (x, y), heading=float(np.arctan2(towards[1], towards[0])), speed=speed)
 
 
 def _group(entry: Entry) -> int:

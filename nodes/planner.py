@@ -18,8 +18,8 @@ from ..messages.map import SemanticMap
 from ..messages.objectives import Objectives, SocialDistance, TargetSpeed, Waypoint
 from ..messages.plan import Plans
 from ..messages.topics import AGENTS, BODIES, MAP, OBJECTIVES, PLANS, Outgoing
-from ..models.orca_planner import OrcaPlanner, Place
-from ..models.planning import PLAN_DT, ConstantVelocity, Crowd, Futures, Planner
+from ..models.crowd.orca_planner import OrcaPlanner, Place
+from ..models.crowd.planning import PLAN_DT, ConstantVelocity, Crowd, Futures, Planner
 from .node import Inbox, Node, NodeConfig
 from .spin import spin
 

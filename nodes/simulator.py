@@ -1,9 +1,10 @@
 """The world: one MuJoCo simulation of everybody, and the owner of time.
 
-In: map, population (both before the first tick), admissions, body actions (30 Hz). Out: clock and body states
-(30 Hz), agents (10 Hz), bodies (latched), contacts and falls (when there are any).
+In: map, population (both before the first tick), admissions, body actions (30 Hz), steering. Out: clock and
+body states (30 Hz), agents (10 Hz), bodies (latched), contacts and falls (when there are any).
 """
 
+import logging
 import sys
 from collections.abc import Iterable
 from typing import Literal
@@ -15,6 +16,7 @@ from ..messages.body import Bodies, BodyStates, Contacts, Falls
 from ..messages.config import ConfigError
 from ..messages.map import SemanticMap
 from ..messages.population import Enter, Population
+from ..messages.steering import Push
 from ..messages.topics import (
     ADMISSIONS,
     AGENTS,
@@ -26,15 +28,18 @@ from ..messages.topics import (
     FALLS,
     MAP,
     POPULATION,
+    STEERING,
     Outgoing,
 )
 from ..models.body import Body, describe
+from ..models.body.skeleton import JOINT_INDEX, N_JOINTS
 from ..models.scene import Terrain
-from ..models.scene_file import Obstacle
-from ..models.skeleton import JOINT_INDEX, N_JOINTS
-from ..models.world import World
+from ..models.scene.file import Obstacle
+from ..models.world import World, WorldError
 from .node import Inbox, Node, NodeConfig
 from .spin import spin
+
+log = logging.getLogger(__name__)
 
 TICK_RATE_HZ = 30
 """Ticks, body states and actions per second (PACER, appendix B)."""
@@ -59,7 +64,7 @@ class Simulator(Node[Config]):
     """Moves the bodies and says where they are."""
 
     Config = Config
-    inputs = (MAP, POPULATION, ADMISSIONS, BODY_ACTIONS)
+    inputs = (MAP, POPULATION, ADMISSIONS, BODY_ACTIONS, STEERING)
     outputs = (CLOCK, AGENTS, BODIES, BODY_STATES, CONTACTS, FALLS)
     requires = (MAP, POPULATION)
     clock_rate_hz = TICK_RATE_HZ
@@ -94,6 +99,9 @@ class Simulator(Node[Config]):
         for agent in (agent for admissions in inbox.new(ADMISSIONS) for agent in admissions.leave):
             self._leave(world, agent)
         self._act(world, inbox)
+        for steering in inbox.new(STEERING):
+            if isinstance(steering.command, Push):
+                self._push(world, steering.command)
         if self._step:
             world.advance(1 / TICK_RATE_HZ)
         for enter in (enter for admissions in inbox.new(ADMISSIONS) for enter in admissions.enter):
@@ -165,6 +173,13 @@ class Simulator(Node[Config]):
             world.set_pose(
                 ids, actions.roots[here].astype(np.float64), actions.joint_targets[here].astype(np.float64)
             )
+
+    def _push(self, world: World, push: Push) -> None:
+        ticks = max(1, round(push.duration * TICK_RATE_HZ))
+        try:
+            world.push(push.agent, push.force, ticks / TICK_RATE_HZ, push.part)
+        except WorldError as error:
+            log.warning("steering: %s", error)
 
     def _agents(self, present: np.ndarray, joints: np.ndarray) -> AgentStates:
         """Push the states of those present into the history."""

@@ -114,7 +114,7 @@ def drawing() -> Iterator[Finding]:
     if _version("mujoco") is None:
         yield Finding("drawing", "note", "no mujoco", "pip install 'footfall[sim]'")
         return
-    from ..models.gl import RenderError, find_gl_backend
+    from ..models.render.gl import RenderError, find_gl_backend
 
     try:
         yield Finding("drawing", "ok", f"MuJoCo draws off screen with {find_gl_backend()}")

@@ -11,8 +11,8 @@ import shapely
 from scipy.interpolate import PchipInterpolator
 
 from ..models.scene import Obstacle, RecordedPopulation, Scene, SceneError, Track, save_scene
-from ..models.scene_file import near
-from ..models.scene_layers import rasterize, signed_distance
+from ..models.scene.file import near
+from ..models.scene.layers import rasterize, signed_distance
 from .biwi_source import read_recording
 from .scene_shapes import outline
 

@@ -50,9 +50,9 @@ def film(
         RenderError: no OpenGL (says what to install), or the film cannot be written.
     """
     from ..models.body import describe
-    from ..models.render import CrowdRenderer
+    from ..models.render.renderer import CrowdRenderer
+    from ..models.render.video import write_video
     from ..models.scene import Obstacle, Terrain
-    from ..models.video import write_video
 
     place, bodies, states = read_film(log_path, start, duration, rate_hz)
     terrain = place.terrain
@@ -100,7 +100,7 @@ def read_film(
 
 def viewpoint(camera: str, place: SemanticMap, state: BodyStates, whom: int):
     """The camera of one frame."""
-    from ..models.camera import Camera
+    from ..models.render.camera import Camera
 
     rows, columns = place.raster.shape[1:]
     width, height = columns * place.resolution, rows * place.resolution
@@ -121,7 +121,7 @@ def most_present(states: list[BodyStates]) -> int:
 
 def painted_ground(place: SemanticMap):
     """The raster layers as a picture on the ground."""
-    from ..models.render import GroundPicture
+    from ..models.render.renderer import GroundPicture
 
     image = np.full((*place.raster.shape[1:], 3), _rgb("#a9a6a0"), np.uint8)
     layers = dict(zip(place.layers, place.raster, strict=True))

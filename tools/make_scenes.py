@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from ..models.scene import SHIPPED, Flow, Groups, NewGoal, Obstacle, RandomPopulation, Scene, save_scene
+from ..models.scene.scene import SHIPPED, Flow, Groups, NewGoal, Obstacle, RandomPopulation, Scene, save_scene
 from .make_slopes import slopes
 from .scene_shapes import (
     bench,

@@ -5,8 +5,8 @@ import shapely
 from shapely import affinity
 
 from ..models.scene import Obstacle
-from ..models.scene_file import Point
-from ..models.scene_layers import cell_centers
+from ..models.scene.file import Point
+from ..models.scene.layers import cell_centers
 
 
 def rect(low_x: float, low_y: float, high_x: float, high_y: float) -> shapely.Polygon:

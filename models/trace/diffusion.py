@@ -114,19 +114,30 @@ class DDPM:
 
 
 class DDIM:
-    """Deterministic first-order sampling on few steps (Song et al. 2021, eq 12 with sigma = 0)."""
+    """First-order sampling on few steps (Song et al. 2021, eq 12).
 
-    def __init__(self, schedule: CosineSchedule, steps: int = 10):
-        self.schedule = schedule
+    Args:
+        schedule: Noise schedule.
+        steps: Denoising steps.
+        eta: 0 is deterministic; 1 draws as much fresh noise as `DDPM` would on these steps.
+    """
+
+    def __init__(self, schedule: CosineSchedule, steps: int = 10, eta: float = 0.0):
+        self.schedule, self.eta = schedule, eta
         self.timesteps = spaced_timesteps(len(schedule), steps)
 
     def step(self, clean: Tensor, noisy: Tensor, i: int, generator: torch.Generator | None = None) -> Tensor:
         """See `Solver.step`."""
         if i + 1 == len(self.timesteps):
             return clean
-        noise = self.schedule.noise_from_clean(clean, noisy, self.timesteps[i])
-        a = self.schedule.alphas_cumprod[self.timesteps[i + 1]]
-        return a.sqrt() * clean + (1 - a).sqrt() * noise
+        k, after = self.timesteps[i], self.timesteps[i + 1]
+        noise = self.schedule.noise_from_clean(clean, noisy, k)
+        a, b = self.schedule.alphas_cumprod[k], self.schedule.alphas_cumprod[after]
+        sigma = self.eta * ((1 - b) / (1 - a) * (1 - a / b)).sqrt()
+        mean = b.sqrt() * clean + (1 - b - sigma**2).sqrt() * noise
+        if not self.eta:
+            return mean
+        return mean + sigma * torch.randn(noisy.shape, generator=generator, dtype=noisy.dtype)
 
 
 class DPMSolver2M:

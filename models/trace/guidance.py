@@ -78,7 +78,8 @@ def guide_direct(
     """Clean actions (A, M, T, 2) after cyclic steps for one objective after the other, through the dynamics.
 
     With the Polyak scale these are projections: each step is the smallest change of the actions that meets
-    the linearised wish. A weight shortens (below 1) or lengthens the steps of an objective.
+    the linearised wish. In turn they do better than all at once, as with any projections onto several sets.
+    A weight shortens (below 1) or lengthens the steps of an objective.
     """
     for _ in range(guidance.inner_steps):
         for wish in objectives:

@@ -1,5 +1,6 @@
 """The TRACE denoiser: context encoders that run once, and a temporal U-Net that runs at every step."""
 
+from copy import deepcopy
 from dataclasses import dataclass
 
 import torch
@@ -102,7 +103,14 @@ class Trace(nn.Module):
         if encoding.map.grid is not None:  # a learned grid is trained through its queries
             queries[0] = self.map_encoder.query(encoding.map, positions)
         condition = torch.cat([encoding.condition, self.step(k)], -1)
-        return self.unet(torch.cat([normal, *queries], -1), condition)
+        kind = next(self.unet.parameters()).dtype
+        return self.unet(torch.cat([normal, *queries], -1).to(kind), condition.to(kind)).to(noisy.dtype)
+
+    def reduced(self) -> "Trace":
+        """A copy whose U-Net computes in bfloat16, for inference; everything else stays as it is."""
+        copy = deepcopy(self)
+        copy.unet.bfloat16()
+        return copy
 
     def unroll(self, actions: Tensor, state: Tensor) -> Tensor:
         """States and actions, in SI units and the ego frame, of normalised actions.

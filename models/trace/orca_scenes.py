@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..convex_obstacles import ConvexObstacles
-from ..orca import OrcaParams, orca_velocity
+from ..crowd.convex_obstacles import ConvexObstacles
+from ..crowd.orca import OrcaParams, orca_velocity
 from .scene_map import polygon_distance
 
 Subset = Literal["maps", "interact"]

@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ..planning import Futures
+from ..crowd.planning import Futures
 from .context import Context, scene_context
 from .diffusion import DDIM, DDPM, CosineSchedule, DPMSolver2M, Solver
 from .dynamics import rollout
@@ -35,15 +35,16 @@ class Sampling:
     """How futures are drawn.
 
     Attributes:
-        solver: `dpm` (second order), `ddim` (first order) or `ddpm` (all steps, stochastic).
-        steps: Denoising steps of `dpm` and `ddim`.
+        solver: `dpm` (second order), `ddim` (first order), `sde` (first order with fresh noise at every step)
+            or `ddpm` (the paper's: all steps, fresh noise).
+        steps: Denoising steps; `ddpm` always takes all.
         samples: Futures per agent.
         context_weight: w of classifier-free sampling (eq 4); 0 needs a single network call.
         reduced: Network in bfloat16.
         keep: With a previous plan: noise level from which it is denoised again, as a share of all steps.
     """
 
-    solver: Literal["dpm", "ddim", "ddpm"] = "dpm"
+    solver: Literal["dpm", "ddim", "sde", "ddpm"] = "dpm"
     steps: int = 8
     samples: int = 10
     context_weight: float = 0.0
@@ -61,9 +62,11 @@ class Sampling:
                 return DPMSolver2M(schedule, self.steps)
             case "ddim":
                 return DDIM(schedule, self.steps)
+            case "sde":
+                return DDIM(schedule, self.steps, eta=1.0)
             case "ddpm":
                 return DDPM(schedule)
-        raise ValueError(f"there is no solver {self.solver!r}; there are dpm, ddim and ddpm")
+        raise ValueError(f"there is no solver {self.solver!r}; there are dpm, ddim, sde and ddpm")
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,8 @@ class TracePlanner:
         self.trace, self.config = trace, trace.config
         self.schedule = CosineSchedule(trace.config.diffusion_steps)
         self.sampling, self.guidance = sampling or Sampling(), guidance or Guidance()
+        if self.sampling.reduced:
+            self.trace = trace.reduced()
 
     @classmethod
     def load(
@@ -169,7 +174,7 @@ class TracePlanner:
 
     def world_states(self, actions: Tensor, now: Tensor) -> Tensor:
         """World states (A, M, plan, 4) from normalised actions (A, M, horizon, 2) and states now (A, 4)."""
-        actions = actions[:, :, : self.config.plan]
+        actions = actions[..., : self.config.plan, :]
         actions = actions * self.trace.trajectory_std[4:] + self.trace.trajectory_mean[4:]
         return rollout(now[:, None], actions, self.config.dt)
 
@@ -241,20 +246,17 @@ class TracePlanner:
         contexts = [context]
         if self.sampling.context_weight:
             contexts.append(context.unconditional())
-        with torch.no_grad(), self._precision():
+        with torch.no_grad():
             return [self.trace.encode(c).repeat(self.sampling.samples) for c in contexts]
 
     def _predict(self, noisy: Tensor, k: int, encodings: list[Encoding]) -> Tensor:
         rows = noisy.flatten(0, 1)
         steps = torch.full((len(rows),), k)
-        with torch.set_grad_enabled(noisy.requires_grad), self._precision():
-            clean = [self.trace(rows, steps, e).float().reshape(noisy.shape) for e in encodings]
+        with torch.set_grad_enabled(noisy.requires_grad):
+            clean = [self.trace(rows, steps, e).reshape(noisy.shape) for e in encodings]
         if len(clean) == 1:
             return clean[0]
         return self.schedule.classifier_free(clean[0], clean[1], noisy, k, self.sampling.context_weight)
-
-    def _precision(self) -> Any:
-        return torch.autocast("cpu", torch.bfloat16, enabled=self.sampling.reduced)
 
     def _shifted(self, previous: TraceFutures, agents: int, elapsed: int) -> Tensor:
         """The chosen actions of the last plan, moved on in time, for every sample; zero after their end."""

@@ -6,8 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from footfall.models import body as body_module
-from footfall.models.anthropometry import MASS_RANGE, N_SHAPE, STATURE_RANGE
 from footfall.models.body import (
     BODY_INDEX,
     BODY_NAMES,
@@ -23,9 +21,11 @@ from footfall.models.body import (
     sample_shapes,
     shape_for,
 )
-from footfall.models.humanoid import MAX_AGENTS, Actuation, actuated_joints, agent_mask, to_mjcf
-from footfall.models.rotations import matrix_from_quaternion, rotation_vector
-from footfall.models.skeleton import matrix_from_triplet, triplet_from_matrix
+from footfall.models.body import body as body_module
+from footfall.models.body.anthropometry import MASS_RANGE, N_SHAPE, STATURE_RANGE
+from footfall.models.body.rotations import matrix_from_quaternion, rotation_vector
+from footfall.models.body.skeleton import matrix_from_triplet, triplet_from_matrix
+from footfall.models.world.humanoid import MAX_AGENTS, Actuation, actuated_joints, agent_mask, to_mjcf
 
 # pyright: reportAttributeAccessIssue=false
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from footfall.models.convex_obstacles import ConvexObstacles, ObstacleError, convex_pieces
+from footfall.models.crowd.convex_obstacles import ConvexObstacles, ObstacleError, convex_pieces
 
 RADIUS = 0.4
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from footfall.models.half_plane_lp import closest_point, farthest_point, least_violation
+from footfall.models.crowd.half_plane_lp import closest_point, farthest_point, least_violation
 
 
 def random_programs(seed: int, problems: int, constraints: int, low: float) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from footfall.models.navigation import ARRIVAL_TIME, NavigationError, Navigator
+from footfall.models.crowd.navigation import ARRIVAL_TIME, NavigationError, Navigator
 
 RESOLUTION = 0.2
 

@@ -6,8 +6,8 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from footfall.models.convex_obstacles import ConvexObstacles
-from footfall.models.orca import OrcaError, OrcaParams, Rollout, orca_velocity, rollout, smooth_heading
+from footfall.models.crowd.convex_obstacles import ConvexObstacles
+from footfall.models.crowd.orca import OrcaError, OrcaParams, Rollout, orca_velocity, rollout, smooth_heading
 
 RADIUS = 0.4
 

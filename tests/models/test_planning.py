@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import shapely
 
-from footfall.models.navigation import Navigator
-from footfall.models.orca_planner import OrcaPlanner, Place
-from footfall.models.planning import PLAN_DT, PLAN_STEPS, ConstantVelocity, Crowd
-from footfall.models.routes import Routes
+from footfall.models.crowd.navigation import Navigator
+from footfall.models.crowd.orca_planner import OrcaPlanner, Place
+from footfall.models.crowd.planning import PLAN_DT, PLAN_STEPS, ConstantVelocity, Crowd
+from footfall.models.crowd.routes import Routes
 
 SIZE, RESOLUTION = 20.0, 0.1
 WALL = np.array([[-0.5, -4.0], [0.5, -4.0], [0.5, 4.0], [-0.5, 4.0]])
@@ -20,7 +20,7 @@ def place(*obstacles: np.ndarray) -> Place:
     blocked = np.zeros((cells, cells), bool)
     for obstacle in obstacles:
         blocked |= shapely.contains_xy(shapely.Polygon(obstacle), x, y)
-    return Place(blocked, np.ones_like(x), RESOLUTION, (-SIZE / 2, -SIZE / 2), obstacles)
+    return Place(blocked, np.ones((cells, cells)), RESOLUTION, (-SIZE / 2, -SIZE / 2), obstacles)
 
 
 def crowd(start, goal, speed=1.3, group=-1) -> Crowd:

@@ -6,14 +6,14 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from footfall.models import gl
 from footfall.models.body import describe, sample_shapes
-from footfall.models.camera import FIELD_OF_VIEW_DEG, Camera
-from footfall.models.gl import RenderError, find_gl_backend
-from footfall.models.looks import dress
-from footfall.models.render import CrowdRenderer, GroundPicture
+from footfall.models.render import gl
+from footfall.models.render.camera import FIELD_OF_VIEW_DEG, Camera
+from footfall.models.render.gl import RenderError, find_gl_backend
+from footfall.models.render.looks import dress
+from footfall.models.render.renderer import CrowdRenderer, GroundPicture
+from footfall.models.render.video import write_video
 from footfall.models.scene import Obstacle
-from footfall.models.video import write_video
 
 WIDTH, HEIGHT = 192, 144
 RED, BLUE = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)

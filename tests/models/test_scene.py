@@ -25,7 +25,7 @@ from footfall.models.scene import (
     save_scene,
     shipped_scenes,
 )
-from footfall.models.scene_layers import rasterize
+from footfall.models.scene.layers import rasterize
 
 
 def box(low_x: float, low_y: float, high_x: float, high_y: float) -> np.ndarray:

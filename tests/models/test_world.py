@@ -14,12 +14,12 @@ from footfall.models.body import (
     sample_shapes,
     shape_for,
 )
-from footfall.models.contacts import GROUND, NOBODY
-from footfall.models.convex_obstacles import ObstacleError
-from footfall.models.rotations import matrix_from_quaternion
+from footfall.models.body.rotations import matrix_from_quaternion
+from footfall.models.body.skeleton import LITE_JOINTS
+from footfall.models.crowd.convex_obstacles import ObstacleError
 from footfall.models.scene import Obstacle, Terrain
-from footfall.models.skeleton import LITE_JOINTS
 from footfall.models.world import World, WorldError
+from footfall.models.world.contacts import GROUND, NOBODY
 
 # pyright: reportAttributeAccessIssue=false
 

@@ -11,12 +11,15 @@ from footfall.messages.topics import AGENTS, BODIES, MAP, OBJECTIVES
 from footfall.nodes.planner import Config, PlannerNode
 
 PLACE = MAP(SemanticMap("test", ["walkable"], np.ones((1, 200, 200), np.uint8), 0.1, (-10.0, -10.0)))
+QUARTER = np.full(3, 0.25, np.float32)
 BODY = BODIES(
     Bodies(
         np.arange(3, dtype=np.int32),
         np.zeros((3, 10), np.float32),
-        *np.full((3, 3), 0.25, np.float32),
-        np.zeros((3, 24, 3), np.float32),
+        masses=QUARTER,
+        statures=QUARTER,
+        radii=QUARTER,
+        offsets=np.zeros((3, 24, 3), np.float32),
     )
 )
 

@@ -5,7 +5,8 @@ import pytest
 import shapely
 from scipy import ndimage
 
-from footfall.models.scene import SHIPPED, RandomPopulation, Scene, load_scene
+from footfall.models.scene import RandomPopulation, Scene, load_scene
+from footfall.models.scene.scene import SHIPPED
 from footfall.tools.make_scenes import MAKERS, main
 from footfall.tools.scene_shapes import bus_shelter, car, covered, disc, outline, rect, solid, turned_box
 

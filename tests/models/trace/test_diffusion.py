@@ -80,6 +80,18 @@ def test_ddim_equals_the_reference(schedule, steps):
     assert torch.allclose(run(solver, start), noisy, atol=1e-4)
 
 
+def test_noisy_ddim_equals_the_reference(schedule):
+    reference = DDIMScheduler(**REFERENCE, clip_sample=False, timestep_spacing="trailing")
+    reference.set_timesteps(10)
+    first, second = (torch.Generator().manual_seed(1) for _ in range(2))
+    solver = DDIM(schedule, 10, eta=1.0)
+    ours = noisy = torch.randn(4, 6)
+    for i, k in enumerate(solver.timesteps[:-1]):
+        ours = solver.step(denoise(ours, k), ours, i, first)
+        noisy = reference.step(denoise(noisy, k), k, noisy, eta=1.0, generator=second).prev_sample  # pyright: ignore
+        assert torch.allclose(ours, noisy, atol=1e-4)
+
+
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # inside diffusers
 @pytest.mark.parametrize("steps", [5, 10, 20])
 def test_multistep_solver_equals_the_reference(schedule, steps):

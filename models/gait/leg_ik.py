@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .skeleton import matrix_from_triplet, triplet_from_matrix
+from ..body.skeleton import matrix_from_triplet, triplet_from_matrix
 
 Array = NDArray[np.float64]
 
@@ -66,11 +66,19 @@ class Legs:
         )  # hip to ankle in the thigh's frame
         thigh = _frame(ankle, hinge) @ np.swapaxes(_frame(chain, np.array([0.0, 1.0, 0.0])), -1, -2)
         angles = np.zeros((*knee.shape, 3, 3))
-        angles[..., 0, :] = triplet_from_matrix(thigh)
+        angles[..., 0, :] = _beyond_quarter(triplet_from_matrix(thigh))
         angles[..., 1, 1] = knee
         shank = thigh @ matrix_from_triplet(angles[..., 1, :])
         angles[..., 2, :] = triplet_from_matrix(np.swapaxes(shank, -1, -2) @ foot)
         return angles
+
+
+def _beyond_quarter(triplet: Array) -> Array:
+    """The same rotations (..., 3) with |x| at most a quarter turn: a thigh may rise past the horizontal."""
+    half = np.copysign(np.pi, triplet)
+    turned = np.concatenate([triplet[..., :1], -triplet[..., 1:2], triplet[..., 2:]], -1)
+    turned += np.concatenate([-half[..., :1], half[..., 1:2], -half[..., 2:]], -1)
+    return np.where(np.abs(triplet[..., :1]) > 0.5 * np.pi, turned, triplet)
 
 
 def _frame(along: Array, near: Array) -> Array:

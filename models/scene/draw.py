@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import shapely
 
-from .scene_file import Flow, RandomPopulation, SceneError
-from .scene_population import SLOWEST, Entry, body_seed
+from .file import Flow, RandomPopulation, SceneError
+from .population import SLOWEST, Entry, body_seed
 
 if TYPE_CHECKING:
     from .scene import Scene

@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from .convex_obstacles import convex_pieces
+from ..crowd.convex_obstacles import convex_pieces
 from .humanoid import FOOT_FRICTION, GROUND_BIT, OBSTACLE_BIT
 
 if TYPE_CHECKING:
-    from .scene import Obstacle, Terrain
+    from ..scene.scene import Obstacle, Terrain
 
 # pyright: reportAttributeAccessIssue=false
 # (mujoco names most of its classes at run time only)

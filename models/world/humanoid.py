@@ -8,8 +8,8 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from .body import Body
-from .skeleton import (
+from ..body.body import Body
+from ..body.skeleton import (
     BODY_NAMES,
     GAIN_REFERENCE_MASS,
     JOINT_GAINS,

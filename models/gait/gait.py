@@ -18,13 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import footsteps
-from . import gait_pose as pose
-from .body import BODY_INDEX, JOINT_LIMITS, Body
+from ..body.body import BODY_INDEX, JOINT_LIMITS, Body
+from ..body.skeleton import matrix_from_quaternion
+from . import footsteps, pose
 from .footsteps import HeightAt
-from .gait_state import STATE, State, describe_walker
 from .leg_ik import Legs
-from .skeleton import matrix_from_quaternion, matrix_from_triplet
+from .state import STATE, State, describe_walker
 
 Array = NDArray[np.float64]
 
@@ -181,14 +180,9 @@ class Gait:
         hip = (rotation[:, None] @ s["hip"][..., None])[..., 0]
         sole = pose.sole_rotation(s["place"])
         pose.fit_legs(s, pelvis, hip, sole, legs)
-        into_pelvis = np.swapaxes(rotation, -1, -2)[:, None]
-        ankle = into_pelvis @ (pose.ankle_positions(s, sole) - pelvis[:, None] - hip)[..., None]
-        pitch = np.stack([0.0 * s["roll"], s["roll"], 0.0 * s["roll"]], -1)
-        foot = into_pelvis @ sole @ matrix_from_triplet(pitch)
-        hinge = into_pelvis @ sole[..., 1:2]
+        legs_angles = pose.solve_legs(s, pelvis, rotation, hip, sole, legs)
 
         joints = np.zeros((len(s), 23, 3))
-        legs_angles = legs.solve(ankle[..., 0], hinge[..., 0], foot)
         toes = pose.toe_bend(s)
         for side, first in enumerate(_FIRST_LEG_JOINT):
             joints[:, first : first + 3] = legs_angles[:, side]

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .scene_file import NewGoal, ObstacleDropped, RandomPopulation, SceneError, near
-from .scene_layers import polygon_fault, rasterize, signed_distance
+from .file import NewGoal, ObstacleDropped, RandomPopulation, SceneError, near
+from .layers import polygon_fault, rasterize, signed_distance
 
 if TYPE_CHECKING:
     from .scene import Scene

@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 from PIL import Image
 
-from .scene_file import Point, SceneError
+from .file import Point, SceneError
 
 
 def read_png(path: Path) -> np.ndarray:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .scene_checks import check_scene
-from .scene_draw import draw_entries
-from .scene_file import (
+from .checks import check_scene
+from .draw import draw_entries
+from .file import (
     Event,
     Flow,
     Groups,
@@ -26,7 +26,7 @@ from .scene_file import (
     read_scene_file,
     write_scene_file,
 )
-from .scene_layers import (
+from .layers import (
     rasterize,
     read_png,
     read_tracks,
@@ -34,7 +34,7 @@ from .scene_layers import (
     write_png,
     write_tracks,
 )
-from .scene_population import Entry, RecordedPopulation, Track, recorded_entries
+from .population import Entry, RecordedPopulation, Track, recorded_entries
 from .terrain import Terrain
 
 __all__ = [
@@ -56,7 +56,7 @@ __all__ = [
     "shipped_scenes",
 ]
 
-SHIPPED = Path(__file__).resolve().parent.parent / "launch" / "scenes"
+SHIPPED = Path(__file__).resolve().parents[2] / "launch" / "scenes"
 ROAD_COST = 4.0  # a metre of road counts as four metres of pavement for someone who chooses a way
 
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .body import Body
-from .skeleton import BODY_INDEX
+from ..body.body import Body
+from ..body.skeleton import BODY_INDEX
 
 Points = NDArray[np.float64]
 Colour = tuple[float, float, float]

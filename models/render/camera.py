@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .rotations import matrix_from_quaternion
+from ..body.rotations import matrix_from_quaternion
 
 FIELD_OF_VIEW_DEG = 45.0
 """Vertical angle of view of every camera."""

@@ -10,15 +10,15 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .body import Body
+from ..body.body import Body
+from ..body.skeleton import N_BODIES
+from ..world.stage import add_ground, add_obstacles
 from .camera import FIELD_OF_VIEW_DEG, Camera
 from .gl import RenderError, create_context, find_gl_backend
 from .looks import Colour, dress
-from .skeleton import N_BODIES
-from .stage import add_ground, add_obstacles
 
 if TYPE_CHECKING:
-    from .scene import Obstacle, Terrain
+    from ..scene.scene import Obstacle, Terrain
 
 # pyright: reportAttributeAccessIssue=false
 # (mujoco names most of its classes at run time only)

@@ -9,17 +9,17 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .body import FOOT_BODIES, Body
+from ..body.body import FOOT_BODIES, Body
+from ..body.rotations import rotation_vector
+from ..body.skeleton import BODY_INDEX, N_BODIES, N_JOINTS
 from .contacts import GROUND, NOBODY, Contacts, read_contacts
 from .crowd_model import CrowdModel
 from .humanoid import MAX_AGENTS, Actuation, actuated_joints
+from .inputs import WorldError, check_agent, checked_agents, checked_array, checked_root
 from .pushes import Push, Pushes
-from .rotations import rotation_vector
-from .skeleton import BODY_INDEX, N_BODIES, N_JOINTS
-from .world_input import WorldError, check_agent, checked_agents, checked_array, checked_root
 
 if TYPE_CHECKING:
-    from .scene import Obstacle, Terrain
+    from ..scene.scene import Obstacle, Terrain
 
 # pyright: reportAttributeAccessIssue=false
 # (mujoco names most of its classes at run time only)

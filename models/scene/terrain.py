@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .scene_file import Point
+from .file import Point
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .body import BODY_INDEX, Body
+from ..body.body import BODY_INDEX, Body
 
 State = NDArray[Any]
 
@@ -28,6 +28,7 @@ STATE = np.dtype(
         ("acceleration", "f8"),  # along the way, m/s^2, smoothed
         ("turn_rate", "f8"),  # rad/s, smoothed
         ("speed", "f8"),  # m/s, smoothed
+        ("grade", "f8"),  # steepness of the way ahead, smoothed
         ("time", "f8"),  # s since entering
         # Rhythm.
         ("phase", "f8"),  # of the stride, [0, 1), 0 at the left heel strike

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .scene_file import SceneError
-from .scene_layers import cell_centers
+from .file import SceneError
+from .layers import cell_centers
 
 if TYPE_CHECKING:
     from .scene import Scene

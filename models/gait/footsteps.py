@@ -12,9 +12,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from . import gait_norms as norms
-from .gait_norms import smoothstep
-from .gait_state import State
+from . import norms
+from .norms import smoothstep
+from .state import State
 
 Array = NDArray[np.float64]
 HeightAt = Callable[[Array], Array]
@@ -27,9 +27,11 @@ _SETTLE_DISTANCE, _SETTLE_TURN = 0.03, 0.12  # and the error below which steppin
 _WALK_SPEED = 0.06  # m/s: slower counts as standing
 _FEET_APART = 0.10  # m: least lateral distance of a foothold from the other foot
 _SHIFTS = np.linspace(-0.15, 0.15, 7)  # m: footholds tried on broken ground
+_RISE_PER_STEP = 0.19  # m: a tall tread
+_SOLE = np.linspace(0.0, 1.0, 5)  # shares of the sole's length at which the ground is felt
 _ROUGH = 0.015  # m: bump under the sole that counts as broken ground
 _STEEPEST = 0.9  # rise over run of a ground the foot lies on; steeper is an edge
-_PATH = np.array([0.12, 0.3, 0.5, 0.7, 0.88])  # shares of a swing at which it must clear the ground
+_PATH = np.array([0.2, 0.35, 0.5, 0.65, 0.8])  # shares of a swing at which it must clear the ground
 
 
 def stride(s: State) -> tuple[Array, Array]:
@@ -39,6 +41,9 @@ def stride(s: State) -> tuple[Array, Array]:
     # Small steps about one place, and steps that turn, are quick ones: at most 75 degrees a stride.
     duration = np.minimum(duration, 1.2 + 0.7 * smoothstep(s["speed"] / 0.5))
     duration = np.minimum(duration, np.maximum(1.3 / np.maximum(np.abs(s["turn_rate"]), 0.1), 0.6))
+    # On stairs and steep ground a step climbs one tread rather than two.
+    climb = np.maximum(s["grade"] * s["speed"], 1e-3)
+    duration = np.minimum(duration, np.maximum(2.0 * _RISE_PER_STEP / climb, 0.6))
     return duration, norms.stance_share(s["speed"], duration)
 
 
@@ -61,7 +66,8 @@ def stand(s: State, position: Array, heading: Array, speed: Array, height_at: He
     behind = np.where(moving, speed * duration, 0.0)[:, None] * stood
     goal = _goals(s, position[:, None] - behind[..., None] * direction[:, None], heading[:, None] + 0.0 * psi)
     s["goal"], s["shift"] = goal, 0.0
-    s["place"] = s["left_from"] = s["target"] = _settle(s, goal, height_at)
+    feet = np.nonzero(np.ones(psi.shape, dtype=bool))
+    s["place"] = s["left_from"] = s["target"] = _settle(s, feet, height_at).reshape(*psi.shape, 6)
     s["landing"] = 0.0
     s["roll"] = profile_roll(s)
     s["roll_off"] = norms.TOE_OFF_PITCH * s["vigour"][:, None]
@@ -78,8 +84,9 @@ def advance(
 ) -> None:
     """Move the feet of every row on by ``dt`` s, given where the root is now and how fast it wants to go."""
     _track(s, position, speed, turn_rate, dt)
+    _look_ahead(s, heading, dt, height_at)
     duration, support = stride(s)
-    due = _advance_clock(s, heading, speed, duration, support, dt)
+    due = _advance_clock(s, heading, (speed > _WALK_SPEED) | (np.abs(turn_rate) > 0.2), duration, support, dt)
     psi = (s["phase"][:, None] + _OFFSETS) % 1.0
 
     landed = ~s["planted"] & (psi < np.minimum(support, 0.25)[:, None])
@@ -115,8 +122,17 @@ def _track(s: State, position: Array, speed: Array, turn_rate: Array, dt: float)
     s["time"] += dt
 
 
+def _look_ahead(s: State, heading: Array, dt: float, height_at: HeightAt) -> None:
+    """Update the steepness of the way from just behind the root to a step ahead of it."""
+    xy = s["position"] + np.array([-0.1, 0.7])[:, None, None] * np.stack(
+        [np.cos(heading), np.sin(heading)], -1
+    )
+    height = height_at(xy.reshape(-1, 2)).reshape(2, -1)
+    s["grade"] += (1.0 - np.exp(-dt / 0.3)) * (np.abs(height[1] - height[0]) / 0.8 - s["grade"])
+
+
 def _advance_clock(
-    s: State, heading: Array, speed: Array, duration: Array, support: Array, dt: float
+    s: State, heading: Array, moving: NDArray[np.bool_], duration: Array, support: Array, dt: float
 ) -> NDArray[np.bool_]:
     """Advance the phase, or hold it while no step is called for; return the feet (n, 2) that lift now."""
     home = _goals(
@@ -129,9 +145,17 @@ def _advance_clock(
         distance / np.where(held, _START_DISTANCE, _SETTLE_DISTANCE),
         turn / np.where(held, _START_TURN, _SETTLE_TURN),
     )
-    go = (speed > _WALK_SPEED) | (s["speed"] > 2.0 * _WALK_SPEED) | (unease > 1.0).any(1)
+    go = moving | (s["speed"] > 2.0 * _WALK_SPEED) | (unease > 1.0).any(1)
 
-    phase = s["phase"] + dt / duration
+    # A foot that trails farther than it should in a steady walk hurries the stride.
+    usual = (1.0 - norms.CROSSING) * support * duration * s["speed"]
+    back = s["position"][:, None] - s["place"][..., :2]
+    trailing = (
+        np.sum(back * s["velocity"][:, None], -1)
+        / np.maximum(np.linalg.norm(s["velocity"], axis=-1), 1e-6)[:, None]
+    )
+    late = np.where(s["planted"], trailing, 0.0).max(1) - np.maximum(1.05 * usual, 0.3) - 0.03
+    phase = s["phase"] + dt / duration * (1.0 + 2.0 * smoothstep(late / 0.15))
     psi = (phase[:, None] + _OFFSETS) % 1.0
     due = s["planted"] & (psi >= support[:, None])
     first = np.argmax(due, axis=1)
@@ -179,70 +203,66 @@ def _aim(s: State, heading: Array, psi: Array, duration: Array, support: Array, 
     goal[..., 0] -= np.sin(yaw) * out
     goal[..., 1] += np.cos(yaw) * out
 
-    air = ~s["planted"]
+    air = np.nonzero(~s["planted"])
     s["goal"][air] = goal[air]
-    s["target"][air] = _settle(s, s["goal"], height_at)[air]
-    rise = s["target"][..., 2] - s["left_from"][:, ::-1, 2]
+    s["target"][air] = _settle(s, air, height_at)
+    rise = _step_up(s["left_from"][:, ::-1], s["target"])
     level = np.clip(1.0 - np.abs(rise) / 0.12, 0.0, 1.0)
     strike = norms.HEEL_STRIKE_PITCH * s["vigour"][:, None] * (1.0 - 0.7 * norms.running(s["speed"]))[:, None]
     landing = strike * level + 0.2 * smoothstep((-rise - 0.06) / 0.1)  # downstairs the ball lands first
     s["landing"][air] = landing[air]
 
 
-def _settle(s: State, goal: Array, height_at: HeightAt) -> Array:
-    """Lay the soles on the ground: places (n, 2, 6) for goals (n, 2, 3)."""
-    heel, tip = s["heel"][..., 0], s["tip"][..., 0]
-    along = heel[..., None] + (tip - heel)[..., None] * np.linspace(0.0, 1.0, 5)  # (n, 2, 5)
-    cos, sin = np.cos(goal[..., 2]), np.sin(goal[..., 2])
-
-    def sample(ahead: Array, left: Array) -> Array:
-        xy = np.stack(
-            [
-                goal[..., :1] + cos[..., None] * ahead - sin[..., None] * left,
-                goal[..., 1:2] + sin[..., None] * ahead + cos[..., None] * left,
-            ],
-            axis=-1,
-        )
-        return height_at(xy.reshape(-1, 2)).reshape(ahead.shape)
-
-    def fit(height: Array) -> tuple[Array, Array]:
-        """Slope from heel to tip and how far the ground in between departs from it."""
-        slope = (height[..., -1] - height[..., 0]) / (tip - heel)
-        line = height[..., :1] + slope[..., None] * (along - heel[..., None])
-        rough = np.abs(height - line).max(-1)
-        return slope, np.where(np.abs(slope) > _STEEPEST, np.maximum(rough, 0.1), rough)
-
-    shift = np.zeros(goal.shape[:2])
-    height = sample(along, np.zeros_like(along))
-    slope, rough = fit(height)
-    if (rough > _ROUGH).any():
-        best = np.full(shift.shape, np.inf)
-        for candidate in _SHIFTS:
-            h = sample(along + candidate, np.zeros_like(along))
-            m, r = fit(h)
-            cost = (
-                3.0 * np.maximum(r - _ROUGH, 0.0)
-                + 0.3 * np.abs(candidate)
-                + 0.3 * np.abs(candidate - s["shift"])
-            )
-            better = (cost < best) & (rough > _ROUGH)
-            best = np.where(better, cost, best)
-            shift = np.where(better, candidate, shift)
-            height = np.where(better[..., None], h, height)
-            slope = np.where(better, m, slope)
-        rough = fit(height)[1]
-    s["shift"] = shift
+def _settle(s: State, feet: tuple[NDArray[np.intp], NDArray[np.intp]], height_at: HeightAt) -> Array:
+    """Lay soles on the ground: places (k, 6) for the goals of k feet, given as (agents, sides)."""
+    heel, tip, goal = s["heel"][feet][:, 0], s["tip"][feet][:, 0], s["goal"][feet]
+    height = _ground_under(goal, heel, tip, np.zeros(len(heel)), height_at)
+    slope, rough = _line_fit(height, heel, tip)
+    shift = np.zeros(len(heel))
+    broken = np.flatnonzero(rough > _ROUGH)
+    if broken.size:
+        before = s["shift"][feet][broken]
+        tried = np.repeat(_SHIFTS[:, None], broken.size, 1)  # (c, b)
+        toe, back = np.tile(tip[broken], len(_SHIFTS)), np.tile(heel[broken], len(_SHIFTS))
+        under = _ground_under(np.tile(goal[broken], (len(_SHIFTS), 1)), back, toe, tried.ravel(), height_at)
+        steep, bumps = _line_fit(under, back, toe)
+        bumps = bumps.reshape(tried.shape)
+        cost = 3.0 * np.maximum(bumps - _ROUGH, 0.0) + 0.3 * np.abs(tried) + 0.3 * np.abs(tried - before)
+        best, column = cost.argmin(0), np.arange(broken.size)
+        shift[broken], rough[broken] = _SHIFTS[best], bumps[best, column]
+        height[broken] = under.reshape(*tried.shape, -1)[best, column]
+        slope[broken] = steep.reshape(tried.shape)[best, column]
+    s["shift"][feet] = shift
 
     edge = rough > _ROUGH  # an edge is under the sole after all: stand level on its top
     slope = np.where(edge, 0.0, slope)
-    z = np.where(edge, height.max(-1), height[..., 0] - slope * heel)
-    wide = np.array([-0.04, 0.04])
-    sides = sample((shift + 0.5 * (heel + tip))[..., None] + 0.0 * wide, wide + np.zeros((*shift.shape, 2)))
-    tilt = (sides[..., 1] - sides[..., 0]) / 0.08
+    z = np.where(edge, height.max(-1), height[:, 0] - slope * heel)
+    cos, sin = np.cos(goal[:, 2]), np.sin(goal[:, 2])
+    middle = shift + 0.5 * (heel + tip)
+    side = np.array([-0.04, 0.04])
+    x, y = goal[:, 0] + cos * middle, goal[:, 1] + sin * middle
+    xy = np.stack([x[:, None] - sin[:, None] * side, y[:, None] + cos[:, None] * side], -1)
+    sides = height_at(xy.reshape(-1, 2)).reshape(-1, 2)
+    tilt = (sides[:, 1] - sides[:, 0]) / 0.08
     tilt = np.where(edge | (np.abs(tilt) > 0.5), 0.0, tilt)
-    x = goal[..., 0] + cos * shift
-    y = goal[..., 1] + sin * shift
-    return np.stack([x, y, z, goal[..., 2], -np.arctan(slope), np.arctan(tilt)], axis=-1)
+    x, y = goal[:, 0] + cos * shift, goal[:, 1] + sin * shift
+    return np.stack([x, y, z, goal[:, 2], -np.arctan(slope), np.arctan(tilt)], axis=-1)
+
+
+def _ground_under(goal: Array, heel: Array, tip: Array, shift: Array, height_at: HeightAt) -> Array:
+    """Ground height (k, 5) from heel to tip of soles at goals (k, 3) shifted forward by (k,)."""
+    along = (heel + shift)[:, None] + (tip - heel)[:, None] * _SOLE
+    x = goal[:, :1] + np.cos(goal[:, 2:]) * along
+    y = goal[:, 1:2] + np.sin(goal[:, 2:]) * along
+    return height_at(np.stack([x, y], -1).reshape(-1, 2)).reshape(along.shape)
+
+
+def _line_fit(height: Array, heel: Array, tip: Array) -> tuple[Array, Array]:
+    """Slope (k,) from heel to tip and how far (k,), m, the ground in between departs from it."""
+    rise = height[:, -1] - height[:, 0]
+    slope = rise / (tip - heel)
+    rough = np.abs(height - height[:, :1] - rise[:, None] * _SOLE).max(-1)
+    return slope, np.where(np.abs(slope) > _STEEPEST, np.maximum(rough, 0.1), rough)
 
 
 def _swing(s: State, swinging: NDArray[np.bool_], height_at: HeightAt) -> None:
@@ -252,30 +272,40 @@ def _swing(s: State, swinging: NDArray[np.bool_], height_at: HeightAt) -> None:
     change = end - start
     change[:, 3] = wrap(change[:, 3])
     u = s["swing"][agent, foot][:, None]
-    early = np.clip(change[:, 2:3] / 0.15, -1.0, 1.0)  # up: climb, then go forward; down: the reverse
+    early = np.clip(_step_up(start, end)[:, None] / 0.15, -1.0, 1.0)  # up: climb, then go forward; down: the reverse
+
+    def forward(u: Array) -> Array:
+        up, down = 0.25 * np.maximum(early, 0.0), 0.25 * np.maximum(-early, 0.0)
+        return smoothstep((u - up) / (1.0 - up - down))
 
     def base(u: Array) -> Array:
         up, down = smoothstep(u * (1.0 + 0.5 * early)), 1.0 - smoothstep((1.0 - u) * (1.0 - 0.5 * early))
         return start[:, 2:3] + change[:, 2:3] * np.where(early > 0.0, up, down)
 
     # The least arc height that clears the ground under heel, ball and tip all along the way.
-    share = smoothstep(_PATH)
-    along = start[:, None, :2] + share[:, None] * change[:, None, :2]  # (k, 5, 2)
+    share = forward(_PATH[None])  # (k, 5)
+    along = start[:, None, :2] + share[..., None] * change[:, None, :2]  # (k, 5, 2)
     yaw = start[:, 3:4] + share * change[:, 3:4]
     reach = np.stack([s["heel"][agent, foot, 0], s["toe"][agent, foot, 0], s["tip"][agent, foot, 0]], -1)
-    forward = np.stack([np.cos(yaw), np.sin(yaw)], -1)
-    points = along[:, :, None] + reach[:, None, :, None] * forward[:, :, None]  # (k, 5, 3, 2)
+    toward = np.stack([np.cos(yaw), np.sin(yaw)], -1)
+    points = along[:, :, None] + reach[:, None, :, None] * toward[:, :, None]  # (k, 5, 3, 2)
     slope = np.tan(start[:, 4:5] + share * change[:, 4:5])
     ground = height_at(points.reshape(-1, 2)).reshape(points.shape[:-1])
     ground = (ground + slope[..., None] * reach[:, None]).max(-1)  # above the plane of the sole
     vigour = s["vigour"][agent]
     clearance = 0.05 - 0.02 * np.minimum(vigour, 1.0) + 0.07 * norms.running(s["speed"][agent])
     excess = (ground - base(_PATH[None])) / _bump(_PATH)
-    height = clearance + np.maximum(excess.max(-1), 0.0)
+    height = clearance + np.clip(excess.max(-1), 0.0, 0.2)
 
-    place = start + smoothstep(u) * change
+    place = start + forward(u) * change
     place[:, 2] = (base(u) + height[:, None] * _bump(u))[:, 0]
     s["place"][agent, foot] = place
+
+
+def _step_up(start: Array, end: Array) -> Array:
+    """Height (...) in m by which place ``end`` (..., 6) lies above the slope the feet stand on at both."""
+    ahead = np.cos(end[..., 3]) * (end[..., 0] - start[..., 0]) + np.sin(end[..., 3]) * (end[..., 1] - start[..., 1])
+    return end[..., 2] - start[..., 2] + np.tan(0.5 * (start[..., 4] + end[..., 4])) * ahead
 
 
 def _bump(u: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .anthropometry import Measurements, ShapeError, measure, sample_shapes, shape_for
-from .body_segments import Segments, build_segments
+from .segments import Segments, build_segments
 from .skeleton import (
     BODY_INDEX,
     BODY_NAMES,

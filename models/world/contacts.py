@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from .skeleton import N_BODIES
+from ..body.skeleton import N_BODIES
 
 # pyright: reportAttributeAccessIssue=false
 # (mujoco names most of its classes at run time only)

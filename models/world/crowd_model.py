@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from .body import Body
+from ..body.body import Body
+from ..body.skeleton import N_BODIES
 from .contacts import GROUND
 from .humanoid import Actuation, add_humanoid, agent_mask
-from .skeleton import N_BODIES
+from .inputs import WorldError
 from .stage import add_ground, add_obstacles
-from .world_input import WorldError
 
 if TYPE_CHECKING:
-    from .scene import Obstacle, Terrain
+    from ..scene.scene import Obstacle, Terrain
 
 # pyright: reportAttributeAccessIssue=false
 # (mujoco names most of its classes at run time only)

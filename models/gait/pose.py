@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from . import footsteps
-from . import gait_norms as norms
-from .body import BODY_INDEX
-from .gait_state import State
+from ..body.body import BODY_INDEX
+from ..body.skeleton import JOINT_INDEX, JOINT_LIMITS, matrix_from_triplet
+from . import footsteps, norms
 from .leg_ik import Legs, angle_within
+from .state import State
 
 Array = NDArray[np.float64]
 
@@ -18,6 +18,7 @@ _STANDING_KNEE = 0.12  # rad: bend of the knees when standing
 _LEAST_KNEE = 0.06  # rad: the straightest a leg may get
 _MAX_ROLL = np.radians(75.0)  # of a standing foot on its toes
 _TOE_BEND = np.radians(50.0)
+_ANKLE_RANGE = JOINT_LIMITS[JOINT_INDEX["L_Ankle_y"]] + np.radians([1.0, -1.0])
 _SOFT = 0.006  # m: rounding of the pelvis' path where a leg's reach begins to bind
 
 
@@ -40,7 +41,7 @@ def pelvis_motion(s: State) -> tuple[Array, Array, Array]:
     rise = norms.vertical_excursion(speed, 0.5 * speed * duration, leg.reach())
     rise *= np.minimum(vigour, 1.0)
     wave = np.cos(2.0 * (cycle - 2.0 * np.pi * norms.CROSSING * support))
-    height = stand - 0.008 * vigour - 0.055 * run + 0.5 * rise * (wave - 1.0)
+    height = stand - 0.017 * vigour - 0.055 * run + 0.5 * rise * (wave - 1.0)
     return turn, sway, height
 
 
@@ -76,7 +77,10 @@ def _pivot_shift(pivot: Array, angle: Array) -> Array:
     """Displacement (..., 3) of a frame's origin when the frame pitches about a point given in it."""
     cos, sin = np.cos(angle), np.sin(angle)
     x, z = pivot[..., 0], pivot[..., 2]
-    return np.stack([x - cos * x - sin * z, np.zeros_like(x), z + sin * x - cos * z], -1)
+    shift = np.zeros(pivot.shape)
+    shift[..., 0] = x - cos * x - sin * z
+    shift[..., 2] = z + sin * x - cos * z
+    return shift
 
 
 def toe_bend(s: State) -> Array:
@@ -117,6 +121,48 @@ def fit_legs(s: State, pelvis: Array, hip: Array, sole: Array, legs: Legs) -> No
     rising = s["planted"] & ~leading
     s["roll"] = np.where(rising, np.maximum(s["roll"], np.minimum(needed, _MAX_ROLL)), s["roll"])
     _lower(pelvis, hip, ankle_positions(s, sole), length)
+
+
+def solve_legs(s: State, pelvis: Array, rotation: Array, hip: Array, sole: Array, legs: Legs) -> Array:
+    """Hip, knee and ankle angles (n, 2, 3, 3) in rad; heels rise or sink where an ankle cannot bend as far.
+
+    Args:
+        s: walkers; their feet's ``roll`` may be changed.
+        pelvis: positions (n, 3), world, m; lowered if need be.
+        rotation: pelvis rotations (n, 3, 3), world.
+        hip: pelvis to hips (n, 2, 3), world, m.
+        sole: `sole_rotation` of the feet.
+        legs: the walkers' legs.
+    """
+    angles = _solve(s, pelvis, rotation, hip, sole, legs)
+    for _ in range(2):
+        excess = _ankle_excess(angles)
+        rows = np.flatnonzero(excess.any(1))
+        if not rows.size:
+            break
+        part, low, legs_part = s[rows], pelvis[rows], Legs(s["thigh"][rows], s["shank"][rows])
+        part["roll"] += excess[rows]
+        _lower(low, hip[rows], ankle_positions(part, sole[rows]), legs_part.reach(_LEAST_KNEE))
+        angles[rows] = _solve(part, low, rotation[rows], hip[rows], sole[rows], legs_part)
+        s["roll"][rows], pelvis[rows] = part["roll"], low
+    return angles
+
+
+def _solve(s: State, pelvis: Array, rotation: Array, hip: Array, sole: Array, legs: Legs) -> Array:
+    into_pelvis = np.swapaxes(rotation, -1, -2)[:, None]
+    # The knee looks where the foot points, a quarter towards where the pelvis does.
+    hinge = 0.75 * (into_pelvis @ sole[..., 1:2])[..., 0] + 0.25 * np.array([0.0, 1.0, 0.0])
+    ankle = into_pelvis @ (ankle_positions(s, sole) - pelvis[:, None] - hip)[..., None]
+    pitch = np.zeros((*s["roll"].shape, 3))
+    pitch[..., 1] = s["roll"]
+    return legs.solve(ankle[..., 0], hinge, into_pelvis @ sole @ matrix_from_triplet(pitch))
+
+
+def _ankle_excess(angles: Array) -> Array:
+    """Pitch (n, 2) in rad by which feet must rise (or sink, < 0) to bring their ankles within range."""
+    low, high = _ANKLE_RANGE
+    bend = angles[..., 2, 1]
+    return np.maximum(low - bend, 0.0) - np.maximum(bend - high, 0.0)
 
 
 def _lower(pelvis: Array, hip: Array, ankle: Array, length: Array) -> None:

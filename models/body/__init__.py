@@ -1,0 +1,43 @@
+"""The humanoid: skeleton, anthropometry, and the body of a shape vector."""
+
+from .body import (
+    BODY_INDEX,
+    BODY_NAMES,
+    FOOT_BODIES,
+    JOINT_GAINS,
+    JOINT_INDEX,
+    JOINT_LIMITS,
+    JOINT_NAMES,
+    LITE_JOINTS,
+    N_BODIES,
+    N_JOINTS,
+    PARENTS,
+    SOLE_POINTS,
+    Body,
+    ShapeError,
+    describe,
+    forward_kinematics,
+    sample_shapes,
+    shape_for,
+)
+
+__all__ = [
+    "BODY_INDEX",
+    "BODY_NAMES",
+    "FOOT_BODIES",
+    "JOINT_GAINS",
+    "JOINT_INDEX",
+    "JOINT_LIMITS",
+    "JOINT_NAMES",
+    "LITE_JOINTS",
+    "N_BODIES",
+    "N_JOINTS",
+    "PARENTS",
+    "SOLE_POINTS",
+    "Body",
+    "ShapeError",
+    "describe",
+    "forward_kinematics",
+    "sample_shapes",
+    "shape_for",
+]

@@ -1,0 +1,1 @@
+"""Crowds: collision avoidance, ways around obstacles, plans."""
