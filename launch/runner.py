@@ -30,8 +30,6 @@ START_TIMEOUT = 60.0
 """Longest wait until every node is ready [s]."""
 BEAT = 0.05
 """Longest time between two looks at everything [s]."""
-REPORTS_TIMEOUT = 1.5
-"""Longest wait at the end for a last report of every node; they come every second [s]."""
 SILENCE = 10.0
 """A node that has not reported for so long is mentioned [s]."""
 
@@ -101,7 +99,6 @@ class Runner:
                 self.bus.publish(GRAPH, self.graph, 0)
                 try:
                     self._run()
-                    self._hear_last_reports()
                     self._console.clear()
                     Shutdown(self).run()
                 except WatchdogError as error:
@@ -122,16 +119,6 @@ class Runner:
                 if self._console.wants_status:
                     self._show_status()
         self._finished = monotonic()
-
-    def _hear_last_reports(self) -> None:
-        """After a good end, wait for the final counts of every node."""
-        while (
-            self.failure is None
-            and not self.interrupts
-            and monotonic() < self._finished + REPORTS_TIMEOUT
-            and any(self._reported.get(name, 0) < self._finished for name in self.supervisor.alive)
-        ):
-            self.look(BEAT / 5)
 
     def _mention_silent(self) -> None:
         for name in self.supervisor.alive & set(self._reported):

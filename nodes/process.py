@@ -10,7 +10,6 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
-from importlib import import_module
 from pathlib import Path
 from time import monotonic
 from types import FrameType, TracebackType
@@ -22,10 +21,11 @@ import psutil
 from ..messages.bus import Bound, BusError
 from ..messages.codec import MessageError
 from ..messages.config import ConfigError
+from ..messages.custom_topics import resolve_topics
 from ..messages.diagnostics import Diagnostics, InputStats, Level, LogLine, OutputStats
 from ..messages.graph import Graph, NodeSpec
 from ..messages.link import Failed, Finished, Go, Link, Ready, Stop, load_graph
-from ..messages.topics import DIAGNOSTICS, LOG, TOPICS, Outgoing, Topic
+from ..messages.topics import DIAGNOSTICS, LOG, Outgoing, Topic
 from ..messages.zmq_bus import ZmqBus
 
 log = logging.getLogger(__name__)
@@ -38,25 +38,6 @@ DIAGNOSTICS_PERIOD = 1.0
 
 class Stopped(Exception):  # noqa: N818 - not an error
     """The process was asked to end."""
-
-
-def resolve_topics(graph: Graph) -> dict[str, Topic]:
-    """The built-in topics and the graph's own.
-
-    Raises:
-        ConfigError: a custom topic cannot be imported or is not a `Topic`.
-    """
-    topics = dict(TOPICS)
-    for name, path in graph.custom_topics.items():
-        module, _, attribute = path.partition(":")
-        try:
-            topic = getattr(import_module(module), attribute)
-        except (ImportError, AttributeError) as error:
-            raise ConfigError(f"topic {name}: cannot import {path!r}: {error}") from None
-        if not isinstance(topic, Topic):
-            raise ConfigError(f"topic {name}: {path!r} is a {type(topic).__name__}, must be a Topic")
-        topics[name] = topic
-    return topics
 
 
 class Process:
@@ -99,6 +80,7 @@ class Process:
             known = isinstance(error, (ConfigError, BusError, MessageError))
             self.link.send(Failed(self.name, str(error) if known else f"{kind.__name__}: {error}", usage))  # type: ignore[union-attr]
         self._flush_log()
+        self.report()
         logging.getLogger().removeHandler(self._log_file)
         self._log_file.close()
         self.bus.close()
