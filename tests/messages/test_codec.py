@@ -111,10 +111,21 @@ def value_of(field: Any, length: int) -> st.SearchStrategy[Any]:
     return arrays(dtype, shape, fill=st.just(1))
 
 
+def bounded(annotation: Any, meta: msgspec.Meta, length: int) -> st.SearchStrategy[Any]:
+    if annotation is float:
+        low, high = meta.gt if meta.gt is not None else meta.ge, meta.le
+        return st.floats(low, high, exclude_min=meta.gt is not None, allow_nan=False, allow_infinity=False)
+    assert typing.get_origin(annotation) is list, f"teach this test about {annotation} with {meta}"
+    return st.lists(
+        plain_value(typing.get_args(annotation)[0], length), min_size=meta.min_length or 0, max_size=4
+    )
+
+
 def plain_value(annotation: Any, length: int) -> st.SearchStrategy[Any]:
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if hasattr(annotation, "__metadata__"):
-        return plain_value(arguments[0], length)
+        metas = [extra for extra in annotation.__metadata__ if isinstance(extra, msgspec.Meta)]
+        return bounded(arguments[0], metas[0], length) if metas else plain_value(arguments[0], length)
     if origin is Literal:
         return st.sampled_from(arguments)
     if origin is list:
