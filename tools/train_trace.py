@@ -137,7 +137,9 @@ class TrainingRun:
         with self.averaged():
             for data in self.val:
                 generator = torch.Generator().manual_seed(1)
-                context, actions = data.batch(torch.randint(len(data), (windows,), generator=generator))
+                context, actions = data.batch(
+                    torch.randint(len(data), (min(windows, len(data)),), generator=generator)
+                )
                 step = DenoisingStep(self.trace)
                 losses.append(
                     float(

@@ -62,7 +62,8 @@ def fit_statistics(
     """Set the model's means and deviations from random windows of the sets, all sets weighted alike."""
     trajectories, histories = [], []
     for data in sets:
-        rows = torch.randint(len(data), (windows // len(sets),), generator=generator)
+        count = min(windows // len(sets), len(data))
+        rows = torch.randint(len(data), (count,), generator=generator)
         context, actions = data.batch(rows)
         trace.trajectory_mean.zero_()
         trace.trajectory_std.fill_(1.0)

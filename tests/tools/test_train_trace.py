@@ -1,0 +1,132 @@
+import argparse
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+import torch
+
+from footfall.models.trace.crowd_file import pack_crowds
+from footfall.models.trace.orca_scenes import CrowdSpec, simulate_crowds
+from footfall.models.trace.weights import load_model, load_tensors
+from footfall.tools import train_trace
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("orca")
+    for subset in ("maps", "interact"):
+        spec = replace(CrowdSpec(substeps=1), subset=subset)
+        pack_crowds(spec, simulate_crowds(spec, 0, range(10)), 0).save(folder / f"{subset}.npz")
+    return [str(folder / f"{subset}.npz") for subset in ("maps", "interact")]
+
+
+def arguments(data, out, steps):
+    shared = [
+        "trace",
+        "--data",
+        *data,
+        "--out",
+        str(out),
+        "--batch",
+        "8",
+        "--check-every",
+        "2",
+        "--full-precision",
+    ]
+    return [*shared, "--threads", "1", "--decay", "0", "--steps", str(steps)]
+
+
+def run(data, out, steps):
+    parser = argparse.ArgumentParser()
+    train_trace.add_parser(parser.add_subparsers())
+    args = parser.parse_args(arguments(data, out, steps))
+    return args.run(args)
+
+
+@pytest.fixture(autouse=True)
+def keep_threads():
+    threads = torch.get_num_threads()
+    yield
+    torch.set_num_threads(threads)
+
+
+def curve(folder):
+    with (folder / "curve.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def weights(folder):
+    return load_tensors(folder / "state.safetensors")[0]
+
+
+def test_resuming_is_the_same_as_going_on(data, tmp_path):
+    assert run(data, tmp_path / "whole", 6) == 0
+    assert run(data, tmp_path / "parts", 3) == 0
+    assert run(data, tmp_path / "parts", 6) == 0
+    whole, parts = weights(tmp_path / "whole"), weights(tmp_path / "parts")
+    assert whole.keys() == parts.keys()
+    assert all(torch.allclose(whole[k], parts[k], atol=1e-6) for k in whole)
+
+
+def test_a_run_leaves_weights_curve_and_picture(data, tmp_path):
+    assert run(data, tmp_path, 4) == 0
+    _, facts = load_model(tmp_path / "model.safetensors")
+    assert facts["step"] == 4 and facts["samples"] == 32
+    assert [d["name"] for d in facts["data"]] == ["orca-maps", "orca-interact"]
+    rows = curve(tmp_path)
+    assert [r["step"] for r in rows] == ["2", "4"] and float(rows[0]["orca-maps"]) > 0
+    assert (tmp_path / "curve.png").stat().st_size > 1000
+
+
+def test_training_learns(data, tmp_path):
+    assert run(data, tmp_path, 40) == 0
+    rows = curve(tmp_path)
+    assert float(rows[-1]["orca-interact"]) < 0.8 * float(rows[0]["orca-interact"])
+
+
+def test_missing_data_is_explained(tmp_path, capsys):
+    assert run([str(tmp_path / "none.npz")], tmp_path, 1) == 2
+    assert "footfall data orca" in capsys.readouterr().err
+
+
+def process(command, data, out, steps):
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", *command, *arguments(data, out, steps)]
+    return subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_a_checkpoint(data, tmp_path):
+    run_ = process(["footfall.tools.train_trace"], data, tmp_path, 100000)
+    deadline = time.monotonic() + 120
+    while not (tmp_path / "curve.csv").is_file() and time.monotonic() < deadline:
+        time.sleep(0.2)
+    run_.send_signal(signal.SIGINT)
+    output, _ = run_.communicate(timeout=60)
+    assert run_.returncode == 0, output
+    assert "stopped at step" in output and "Traceback" not in output
+    assert load_model(tmp_path / "model.safetensors")[1]["step"] >= 2
+
+
+@pytest.mark.slow
+def test_two_processes_train_one_model(data, tmp_path):
+    launcher = [
+        "torch.distributed.run",
+        "--standalone",
+        "--nproc-per-node",
+        "2",
+        "-m",
+        "footfall.tools.train_trace",
+    ]
+    run_ = process(launcher, data, tmp_path, 4)
+    output, _ = run_.communicate(timeout=240)
+    assert run_.returncode == 0, output
+    _, facts = load_model(tmp_path / "model.safetensors")
+    assert facts["step"] == 4 and facts["batch"] == 16 and facts["samples"] == 64
