@@ -2,7 +2,9 @@
 
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -11,13 +13,18 @@ from ..messages.custom_topics import resolve_topics
 from ..messages.graph import Graph
 from ..messages.topics import Topic
 from .check import check
+from .viewing import with_viewer
 from .wiring import complete, with_recorder
 
 _MCAP_MAGIC = b"\x89MCAP"
 
 
 def prepare(
-    graph: Graph, mode: str | None = None, rate: float | None = None, record: Path | None = None
+    graph: Graph,
+    mode: str | None = None,
+    rate: float | None = None,
+    record: Path | None = None,
+    view: Mapping[str, Any] | None = None,
 ) -> tuple[Graph, dict[str, Topic]]:
     """Complete and check a graph.
 
@@ -26,6 +33,7 @@ def prepare(
         mode: How time passes, instead of the file's.
         rate: Simulated per wall time, instead of the file's.
         record: Where to record to.
+        view: Configuration of a viewer to add; None for no viewer.
 
     Returns:
         The graph, and its topics by name.
@@ -42,6 +50,9 @@ def prepare(
     topics = resolve_topics(graph)
     graph = complete(graph)
     check(graph, topics)
+    if view is not None:
+        graph = with_viewer(graph, view)
+        check(graph, topics)
     if record:
         graph = with_recorder(graph, {"path": str(_free_log(record)), "overwrite": True}, topics)
         check(graph, topics)

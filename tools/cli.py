@@ -15,6 +15,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "topic": ("topic", "look at topics: list, info, schema, echo, hz, bw, delay"),
     "param": ("param", "see and change parameters of running nodes: list, set"),
     "control": ("control", "rule the clock of a running graph, or end it: pause, resume, step, rate, stop"),
+    "steer": ("steer", "ask something of a running scene: waypoints, speeds, groups, obstacles, pushes"),
     "view": ("view", "look at recorded runs in a browser: play, scrub, compare"),
     "graph": ("graph", "draw a graph"),
     "top": ("top", "watch the nodes of a running graph"),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ..messages.graph import Graph
-    from ..messages.link import Request
+    from ..messages.link import Request, Steer
 
 VERBS = {
     "pause": "stop the clock",
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def ask(graph: "Graph", request: "Request") -> None:
+def ask(graph: "Graph", request: "Request | Steer") -> None:
     """Send a request to the launcher of a graph.
 
     Raises:

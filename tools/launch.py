@@ -21,6 +21,13 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("name", nargs="?", help="launch file, shipped launch (crossing, plaza, ...) or scene")
     parser.add_argument("--duration", type=float, metavar="S", help="simulated time [s]")
     parser.add_argument("--record", type=Path, metavar="FILE", help="record every topic to an MCAP log")
+    parser.add_argument(
+        "--view",
+        nargs="?",
+        const="",
+        metavar="[HOST:]PORT",
+        help="show the run in a browser and steer it there (default port 8080 on this machine only)",
+    )
     parser.add_argument("--seed", type=int, metavar="N", help="seed of everything random")
     parser.add_argument("--mode", choices=("realtime", "free", "lockstep"), help="how time passes")
     parser.add_argument("--rate", type=float, metavar="X", help="simulated time per wall time")
@@ -50,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
     from ..launch.launch_file import load_launch
     from ..launch.prepare import prepare
     from ..launch.runner import Runner
+    from ..launch.viewing import viewer_config
     from ..messages.config import ConfigError
 
     if args.name is None:
@@ -57,7 +65,13 @@ def run(args: argparse.Namespace) -> int:
     target = find_launch(args.name)
     arguments, config = parse_settings(args.set)
     graph = load_launch(target.path, target.args | arguments, config, args.duration, args.seed, target.name)
-    graph, topics = prepare(graph, args.mode, args.rate, args.record)
+    view, rate = None, args.rate
+    if args.view is not None:
+        view, url = viewer_config(args.view)
+        if rate is None and graph.clock.rate is None:
+            rate = 1.0  # as fast as it goes is too fast to watch
+        print(f"open {url}", flush=True)
+    graph, topics = prepare(graph, args.mode, rate, args.record, view)
     summary = Runner(graph, topics, Console(args.quiet), args.run_dir, args.record).run()
     return report(summary, args.json)
 
