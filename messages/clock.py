@@ -1,8 +1,10 @@
 """Simulation time, and the hand-shake of lockstep."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+
+from .array import VOLATILE
 
 Mode = Literal["realtime", "free", "lockstep"]
 
@@ -17,8 +19,9 @@ class Clock(msgspec.Struct, frozen=True):
     mode: Mode
     paused: bool = False
     """True while time stands still: the tick is repeated so that late joiners know the time."""
-    sent: dict[str, int] = {}
-    """Lockstep: the last sequence number on each `topic@node` that belongs before this tick's work."""
+    sent: Annotated[dict[str, int], VOLATILE] = {}
+    """Lockstep: the last sequence number on each `topic@node` that belongs before this tick's work. Counts
+    diagnostics and log lines too, which come by wall time."""
 
 
 class Done(msgspec.Struct, frozen=True):

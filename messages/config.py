@@ -38,21 +38,22 @@ def configure(config_type: type[T], values: Any, where: str) -> T:
         reason, _, path = str(error).partition(" - at `")
         place = re.sub(r"^\$\.?", "", path.rstrip("`"))
         place = f"{where}: {place}" if place else where
+        info = _type_at(config_type, path)
         if match := re.fullmatch(r"Object contains unknown field `(.*)`", reason):
-            known = _known_fields(config_type, path.rstrip("`"), values)
+            known = [field.encode_name for field in getattr(info, "fields", ())]
             raise ConfigError(f"{place}: unknown key {match[1]!r}; {near(match[1], known)}") from None
+        if match := re.fullmatch(r"Invalid enum value '(.*)'", reason):
+            known = [str(value) for value in getattr(info, "values", ())]
+            raise ConfigError(f"{place}: no such choice {match[1]!r}; {near(match[1], known)}") from None
         raise ConfigError(f"{place}: {reason}") from None
 
 
-def _known_fields(config_type: Any, path: str, values: Any) -> list[str]:
-    """Fields of the struct at `path` below `config_type`, found by walking the types."""
+def _type_at(config_type: Any, path: str) -> Any:
+    """What is wanted at a path such as `$.clock.mode` below `config_type`, found by walking the types."""
     info = msgspec.inspect.type_info(config_type)
-    for step in re.findall(r"\.([^.\[\]]+)|\[([^\]]*)\]", path.removeprefix("$")):
+    for step in re.findall(r"\.([^.\[\]]+)|\[([^\]]*)\]", path.rstrip("`").removeprefix("$")):
         info = _child(info, step[0] or step[1])
-    info = _open(info)
-    if isinstance(info, msgspec.inspect.StructType):
-        return [field.encode_name for field in info.fields]
-    return []
+    return _open(info)
 
 
 def _open(info: Any) -> Any:

@@ -10,7 +10,7 @@ from typing import Any
 from ..messages.compare import Difference, Tolerance, first_difference
 from ..messages.config import ConfigError
 from ..messages.log import LogError, LogReader
-from .log_hash import BY_WALL_TIME, deterministic_topics
+from .log_hash import deterministic_topics
 
 
 @dataclass
@@ -103,8 +103,7 @@ def diff_logs(
 def _diff_topic(left: LogReader, right: LogReader, topic: str, tolerance: Tolerance | None) -> TopicDiff:
     sides = [reader.messages([topic]) if topic in reader.topics else iter(()) for reader in (left, right)]
     counts, first = [0, 0], None
-    given = tolerance or Tolerance()
-    tolerance = Tolerance([*given.ignore, *BY_WALL_TIME.get(topic, ())], given.absolute)
+    tolerance = tolerance or Tolerance()
     for number, (ours, theirs) in enumerate(zip_longest(*sides)):
         counts[0] += ours is not None
         counts[1] += theirs is not None

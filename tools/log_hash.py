@@ -17,11 +17,6 @@ import numpy as np
 
 from ..messages.codec import plain
 from ..messages.log import LogReader
-from ..messages.topics import CLOCK
-
-BY_WALL_TIME = {CLOCK.name: ("sent",)}
-"""Fields of deterministic topics that do not count: how much everybody has sent counts diagnostics as well,
-which come by wall time."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,8 +71,6 @@ def deterministic_topics(reader: LogReader) -> list[str]:
 def canonical(topic: str, stamp_ns: int, message: Any) -> bytes:
     """The bytes of a message that count: fields by name in order, arrays with dtype and shape."""
     fields = plain(message, volatile=False)
-    for name in BY_WALL_TIME.get(topic, ()):
-        fields.pop(name, None)
     return msgspec.msgpack.encode([topic, stamp_ns, _ordered(fields)])
 
 
