@@ -7,30 +7,23 @@ acceleration and turn; on stairs the foot is shifted so as to stand on one tread
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from . import norms
+from .footholds import HeightAt, settle, step_up
 from .norms import smoothstep
 from .state import State
 
 Array = NDArray[np.float64]
-HeightAt = Callable[[Array], Array]
-"""Ground height (m,) in m at world points (m, 2)."""
-
 _SIDES = np.array([1.0, -1.0])
 _OFFSETS = np.array([0.0, 0.5])  # phase of the left and the right foot
 _START_DISTANCE, _START_TURN = 0.07, 0.30  # m, rad: error of a standing foot that calls for a step
 _SETTLE_DISTANCE, _SETTLE_TURN = 0.03, 0.12  # and the error below which stepping ends
 _WALK_SPEED = 0.06  # m/s: slower counts as standing
 _FEET_APART = 0.10  # m: least lateral distance of a foothold from the other foot
-_SHIFTS = np.linspace(-0.15, 0.15, 7)  # m: footholds tried on broken ground
+_LIFT = 0.04  # share of a swing at its ends in which the foot goes only up or down
 _RISE_PER_STEP = 0.19  # m: a tall tread
-_SOLE = np.linspace(0.0, 1.0, 5)  # shares of the sole's length at which the ground is felt
-_ROUGH = 0.015  # m: bump under the sole that counts as broken ground
-_STEEPEST = 0.9  # rise over run of a ground the foot lies on; steeper is an edge
 _PATH = np.array([0.2, 0.35, 0.5, 0.65, 0.8])  # shares of a swing at which it must clear the ground
 
 
@@ -67,7 +60,7 @@ def stand(s: State, position: Array, heading: Array, speed: Array, height_at: He
     goal = _goals(s, position[:, None] - behind[..., None] * direction[:, None], heading[:, None] + 0.0 * psi)
     s["goal"], s["shift"] = goal, 0.0
     feet = np.nonzero(np.ones(psi.shape, dtype=bool))
-    s["place"] = s["left_from"] = s["target"] = _settle(s, feet, height_at).reshape(*psi.shape, 6)
+    s["place"] = s["left_from"] = s["target"] = settle(s, feet, height_at).reshape(*psi.shape, 6)
     s["landing"] = 0.0
     s["roll"] = profile_roll(s)
     s["roll_off"] = norms.TOE_OFF_PITCH * s["vigour"][:, None]
@@ -205,64 +198,12 @@ def _aim(s: State, heading: Array, psi: Array, duration: Array, support: Array, 
 
     air = np.nonzero(~s["planted"])
     s["goal"][air] = goal[air]
-    s["target"][air] = _settle(s, air, height_at)
-    rise = _step_up(s["left_from"][:, ::-1], s["target"])
+    s["target"][air] = settle(s, air, height_at)
+    rise = step_up(s["left_from"][:, ::-1], s["target"])
     level = np.clip(1.0 - np.abs(rise) / 0.12, 0.0, 1.0)
     strike = norms.HEEL_STRIKE_PITCH * s["vigour"][:, None] * (1.0 - 0.7 * norms.running(s["speed"]))[:, None]
     landing = strike * level + 0.2 * smoothstep((-rise - 0.06) / 0.1)  # downstairs the ball lands first
     s["landing"][air] = landing[air]
-
-
-def _settle(s: State, feet: tuple[NDArray[np.intp], NDArray[np.intp]], height_at: HeightAt) -> Array:
-    """Lay soles on the ground: places (k, 6) for the goals of k feet, given as (agents, sides)."""
-    heel, tip, goal = s["heel"][feet][:, 0], s["tip"][feet][:, 0], s["goal"][feet]
-    height = _ground_under(goal, heel, tip, np.zeros(len(heel)), height_at)
-    slope, rough = _line_fit(height, heel, tip)
-    shift = np.zeros(len(heel))
-    broken = np.flatnonzero(rough > _ROUGH)
-    if broken.size:
-        before = s["shift"][feet][broken]
-        tried = np.repeat(_SHIFTS[:, None], broken.size, 1)  # (c, b)
-        toe, back = np.tile(tip[broken], len(_SHIFTS)), np.tile(heel[broken], len(_SHIFTS))
-        under = _ground_under(np.tile(goal[broken], (len(_SHIFTS), 1)), back, toe, tried.ravel(), height_at)
-        steep, bumps = _line_fit(under, back, toe)
-        bumps = bumps.reshape(tried.shape)
-        cost = 3.0 * np.maximum(bumps - _ROUGH, 0.0) + 0.3 * np.abs(tried) + 0.3 * np.abs(tried - before)
-        best, column = cost.argmin(0), np.arange(broken.size)
-        shift[broken], rough[broken] = _SHIFTS[best], bumps[best, column]
-        height[broken] = under.reshape(*tried.shape, -1)[best, column]
-        slope[broken] = steep.reshape(tried.shape)[best, column]
-    s["shift"][feet] = shift
-
-    edge = rough > _ROUGH  # an edge is under the sole after all: stand level on its top
-    slope = np.where(edge, 0.0, slope)
-    z = np.where(edge, height.max(-1), height[:, 0] - slope * heel)
-    cos, sin = np.cos(goal[:, 2]), np.sin(goal[:, 2])
-    middle = shift + 0.5 * (heel + tip)
-    side = np.array([-0.04, 0.04])
-    x, y = goal[:, 0] + cos * middle, goal[:, 1] + sin * middle
-    xy = np.stack([x[:, None] - sin[:, None] * side, y[:, None] + cos[:, None] * side], -1)
-    sides = height_at(xy.reshape(-1, 2)).reshape(-1, 2)
-    tilt = (sides[:, 1] - sides[:, 0]) / 0.08
-    tilt = np.where(edge | (np.abs(tilt) > 0.5), 0.0, tilt)
-    x, y = goal[:, 0] + cos * shift, goal[:, 1] + sin * shift
-    return np.stack([x, y, z, goal[:, 2], -np.arctan(slope), np.arctan(tilt)], axis=-1)
-
-
-def _ground_under(goal: Array, heel: Array, tip: Array, shift: Array, height_at: HeightAt) -> Array:
-    """Ground height (k, 5) from heel to tip of soles at goals (k, 3) shifted forward by (k,)."""
-    along = (heel + shift)[:, None] + (tip - heel)[:, None] * _SOLE
-    x = goal[:, :1] + np.cos(goal[:, 2:]) * along
-    y = goal[:, 1:2] + np.sin(goal[:, 2:]) * along
-    return height_at(np.stack([x, y], -1).reshape(-1, 2)).reshape(along.shape)
-
-
-def _line_fit(height: Array, heel: Array, tip: Array) -> tuple[Array, Array]:
-    """Slope (k,) from heel to tip and how far (k,), m, the ground in between departs from it."""
-    rise = height[:, -1] - height[:, 0]
-    slope = rise / (tip - heel)
-    rough = np.abs(height - height[:, :1] - rise[:, None] * _SOLE).max(-1)
-    return slope, np.where(np.abs(slope) > _STEEPEST, np.maximum(rough, 0.1), rough)
 
 
 def _swing(s: State, swinging: NDArray[np.bool_], height_at: HeightAt) -> None:
@@ -272,11 +213,13 @@ def _swing(s: State, swinging: NDArray[np.bool_], height_at: HeightAt) -> None:
     change = end - start
     change[:, 3] = wrap(change[:, 3])
     u = s["swing"][agent, foot][:, None]
-    early = np.clip(_step_up(start, end)[:, None] / 0.15, -1.0, 1.0)  # up: climb, then go forward; down: the reverse
+    early = np.clip(
+        step_up(start, end)[:, None] / 0.15, -1.0, 1.0
+    )  # up: climb, then go forward; down: the reverse
 
     def forward(u: Array) -> Array:
         up, down = 0.25 * np.maximum(early, 0.0), 0.25 * np.maximum(-early, 0.0)
-        return smoothstep((u - up) / (1.0 - up - down))
+        return smoothstep((u - _LIFT - up) / (1.0 - 2.0 * _LIFT - up - down))
 
     def base(u: Array) -> Array:
         up, down = smoothstep(u * (1.0 + 0.5 * early)), 1.0 - smoothstep((1.0 - u) * (1.0 - 0.5 * early))
@@ -302,16 +245,9 @@ def _swing(s: State, swinging: NDArray[np.bool_], height_at: HeightAt) -> None:
     s["place"][agent, foot] = place
 
 
-def _step_up(start: Array, end: Array) -> Array:
-    """Height (...) in m by which place ``end`` (..., 6) lies above the slope the feet stand on at both."""
-    ahead = np.cos(end[..., 3]) * (end[..., 0] - start[..., 0]) + np.sin(end[..., 3]) * (end[..., 1] - start[..., 1])
-    return end[..., 2] - start[..., 2] + np.tan(0.5 * (start[..., 4] + end[..., 4])) * ahead
-
-
 def _bump(u: Array) -> Array:
-    """Arc over [0, 1] of height 1, flat-topped and level at both ends."""
-    x = smoothstep(u)
-    return 1.0 - (1.0 - 4.0 * x * (1.0 - x)) ** 2
+    """Arc over [0, 1] of height 1, flat-topped, steep where the foot leaves and meets the ground."""
+    return 1.0 - (2.0 * u - 1.0) ** 4
 
 
 def profile_roll(s: State) -> Array:

@@ -9,6 +9,7 @@ from ..body.body import BODY_INDEX
 from ..body.skeleton import JOINT_INDEX, JOINT_LIMITS, matrix_from_triplet
 from . import footsteps, norms
 from .leg_ik import Legs, angle_within
+from .norms import smoothstep
 from .state import State
 
 Array = NDArray[np.float64]
@@ -100,6 +101,7 @@ def fit_legs(s: State, pelvis: Array, hip: Array, sole: Array, legs: Legs) -> No
         legs: the walkers' legs.
     """
     length = legs.reach(_LEAST_KNEE)
+    _stoop(s, pelvis, hip, length)
     ankle = ankle_positions(s, sole)
     ahead = np.sum((pelvis[:, None, :2] + hip[..., :2] - ankle[..., :2]) * sole[..., :2, 0], -1)
     leading = ahead <= 0.0
@@ -121,6 +123,21 @@ def fit_legs(s: State, pelvis: Array, hip: Array, sole: Array, legs: Legs) -> No
     rising = s["planted"] & ~leading
     s["roll"] = np.where(rising, np.maximum(s["roll"], np.minimum(needed, _MAX_ROLL)), s["roll"])
     _lower(pelvis, hip, ankle_positions(s, sole), length)
+
+
+def _stoop(s: State, pelvis: Array, hip: Array, length: Array) -> None:
+    """Lower pelvises (n, 3) in place towards a landing that will ask for it, and rise after it."""
+    duration, support = footsteps.stride(s)
+    ahead = norms.CROSSING * support * duration * np.linalg.norm(s["velocity"], axis=-1)
+    heel = s["heel"]
+    lifted = np.hypot(heel[..., 0], heel[..., 2]) * np.sin(
+        np.arctan2(-heel[..., 2], -heel[..., 0]) + np.maximum(-s["landing"], 0.0)
+    )  # the ankle's height when the heel's edge touches down
+    across = np.minimum(ahead[:, None], 0.8 * length)
+    top = s["target"][..., 2] + lifted - hip[..., 2] + np.sqrt(length**2 - across**2)
+    since = smoothstep((s["phase"][:, None] + np.array([0.0, 0.5])) % 1.0 / 0.12)
+    share = np.where(s["planted"], 1.0 - since, smoothstep((s["swing"] - 0.3) / 0.7))
+    pelvis[:, 2] -= (np.maximum(pelvis[:, 2:] - top, 0.0) * share).max(1)
 
 
 def solve_legs(s: State, pelvis: Array, rotation: Array, hip: Array, sole: Array, legs: Legs) -> Array:

@@ -69,11 +69,11 @@ def test_bent_segments_are_solved_too():
         }[axis]
         return np.moveaxis(np.array(rows), -1, 0)
 
-    rotation = np.eye(3)
+    rotation, point = np.eye(3), np.zeros(3)
     for joint, offset in enumerate((thigh, shank)):
         for axis in range(3):
             rotation = rotation @ turn(axis, angles[:, joint, axis])
-        point = rotation @ offset if joint == 0 else point + rotation @ offset
+        point = point + rotation @ offset
     np.testing.assert_allclose(point, target, atol=1e-9)
 
 
