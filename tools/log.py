@@ -11,6 +11,7 @@ VERBS = {
     "diff": ("log_diff", "where two logs differ first"),
     "export": ("log_export", "topics as CSV, npz or JSON lines"),
     "plot": ("log_plot", "a picture of the run from above"),
+    "html": ("log_html", "a replay in one HTML file that needs nothing else"),
     "film": ("log_film", "a film of the run"),
 }
 """By verb: the module with `add_arguments` and `run`, and one line about it."""
