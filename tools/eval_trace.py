@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..models.trace.crowd_file import Crowds
-from ..models.trace.evaluation import GUIDES, Report, TestScenes, evaluate
+from ..models.trace.evaluation import GUIDES, Report, TrialScenes, evaluate
 from ..models.trace.guidance import Guidance
 from ..models.trace.network import Trace
 from ..models.trace.planner import WEIGHTS, Sampling, TracePlanner
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate and print; each row is shown as soon as it is known."""
     try:
         trace, facts = load_model(args.weights)
-        scenes = TestScenes(Crowds.load(args.data), trace.config, limit=QUICK_SCENES if args.quick else None)
+        scenes = TrialScenes(Crowds.load(args.data), trace.config, limit=QUICK_SCENES if args.quick else None)
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
@@ -108,7 +108,7 @@ def collisions_and_emd(report: Report) -> Row:
     return [report.obstacle, report.agent, *report.emd.values()]
 
 
-def table_1(trace: Trace, scenes: TestScenes, args: argparse.Namespace) -> Iterator[Row]:
+def table_1(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
     """Guides by methods."""
     for guide in args.guides:
         for (name, label), figures in PAPER_TABLE_1.items():
@@ -125,7 +125,7 @@ def table_1(trace: Trace, scenes: TestScenes, args: argparse.Namespace) -> Itera
             yield [guide, shown, error, *collisions_and_emd(report), report.seconds]
 
 
-def table_5(trace: Trace, scenes: TestScenes, args: argparse.Namespace) -> Iterator[Row]:
+def table_5(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
     """Accuracy of the best of 20 unguided samples, for each sampler."""
     yield from ([name, *figures] for name, figures in PAPER_TABLE_5.items())
     for sampling in (
@@ -143,7 +143,7 @@ def table_5(trace: Trace, scenes: TestScenes, args: argparse.Namespace) -> Itera
         ]
 
 
-def table_7(trace: Trace, scenes: TestScenes, args: argparse.Namespace) -> Iterator[Row]:
+def table_7(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
     """The weight of classifier-free sampling."""
     for weight, figures in PAPER_TABLE_7.items():
         yield [weight, "paper: TRACE", *figures]

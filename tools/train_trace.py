@@ -26,7 +26,13 @@ from ..models.trace.config import CONFIGS
 from ..models.trace.crowd_file import Crowds
 from ..models.trace.diffusion import CosineSchedule
 from ..models.trace.network import Trace
-from ..models.trace.training import DenoisingStep, MovingAverage, denoising_loss, fit_statistics
+from ..models.trace.training import (
+    DenoisingStep,
+    MovingAverage,
+    denoising_loss,
+    fit_statistics,
+    vary_observation,
+)
 from ..models.trace.weights import load_tensors, save_model, save_tensors
 from ..models.trace.windows import CrowdWindows
 from .train_curve import draw_curve
@@ -119,6 +125,7 @@ class TrainingRun:
             group["lr"] = self.rate()
         with self.autocast():
             context, actions = data.batch(rows)
+            context = vary_observation(context, generator)
             loss = denoising_loss(
                 self.model, self.trace, self.schedule, context, actions, generator, drop=self.args.drop
             )

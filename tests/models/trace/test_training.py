@@ -1,0 +1,43 @@
+import torch
+
+from footfall.models.trace.context import scene_context
+from footfall.models.trace.training import MovingAverage, vary_observation
+
+
+def walkers(agents=200):
+    states = torch.zeros(agents, 31, 4)
+    states[..., 0] = 0.12 * torch.arange(-30, 1)
+    states[..., 1] = 0.5 * torch.arange(agents)[:, None]
+    states[..., 3] = 1.2
+    return scene_context(states, torch.full((agents, 2), 0.8))
+
+
+def test_people_are_sometimes_seen_late_but_always_now():
+    context = walkers()
+    varied = vary_observation(context, torch.Generator().manual_seed(0))
+    seen = varied.ego[..., 7]
+    assert (seen[:, -1] == 1).all()
+    assert (seen.diff(dim=1) >= 0).all()  # who came into sight stays in sight
+    late = (seen[:, 0] == 0).float().mean()
+    assert 0.2 < late < 0.4
+    assert torch.equal(varied.ego[..., :5], context.ego[..., :5] * seen[..., None])
+    assert varied.neighbors[context.neighbors[..., 7] == 0].abs().sum() == 0
+
+
+def test_bodies_vary_around_those_of_the_data():
+    varied = vary_observation(walkers(), torch.Generator().manual_seed(0))
+    size = varied.ego[:, -1, 5:7]
+    assert 0.4 <= size.min() < 0.5 and 0.9 < size.max() <= 1.0
+    again = vary_observation(walkers(), torch.Generator().manual_seed(0))
+    assert torch.equal(varied.ego, again.ego)
+
+
+def test_moving_average_follows_slowly():
+    layer = torch.nn.Linear(1, 1, bias=False)
+    average = MovingAverage(layer, decay=0.9)
+    with torch.no_grad():
+        layer.weight.fill_(average.parameters["weight"].item() + 1.0)
+    start = average.parameters["weight"].item()
+    for _ in range(3):
+        average.update(layer, step=10**6)
+    assert abs(average.parameters["weight"].item() - (start + 1 - 0.9**3)) < 1e-6
