@@ -6,8 +6,10 @@ from .viewer_picture import Picture
 
 BODY_HEIGHT = 1.7
 """A person is an upright line this long for somebody who clicks [m]."""
+BODY_RADIUS = 0.25
+"""A click's ray so near to that line hits the person [m]."""
 REACH = 0.45
-"""Farthest distance of a click's ray from that line [m]."""
+"""Farthest distance of a ray from that line that still means somebody [m]."""
 FAR = 500.0
 """How far away ground is looked for [m]."""
 STEP = 0.25
@@ -15,7 +17,7 @@ STEP = 0.25
 
 
 def pick_person(picture: Picture, origin: np.ndarray, direction: np.ndarray) -> int | None:
-    """Who is nearest to a ray, if near enough.
+    """Who is first hit by a ray, or nearest to it if near enough.
 
     Args:
         picture: Who is where.
@@ -32,8 +34,10 @@ def pick_person(picture: Picture, origin: np.ndarray, direction: np.ndarray) -> 
     arms = points - np.asarray(origin)
     along = np.maximum(arms @ unit, 0.0)
     distance = np.linalg.norm(arms - along[..., None] * unit, axis=-1).min(axis=1)
-    distance[(arms @ unit).max(axis=1) <= 0] = np.inf
-    best = int(distance.argmin())
+    reach = (arms @ unit).max(axis=1)
+    distance[reach <= 0] = np.inf
+    hit = np.where(distance <= BODY_RADIUS, reach, np.inf)  # who is hit hides who stands behind
+    best = int(hit.argmin()) if np.isfinite(hit).any() else int(distance.argmin())
     return ids[best] if distance[best] <= REACH else None
 
 

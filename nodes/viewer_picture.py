@@ -99,6 +99,8 @@ class Picture:
 
     def take(self, topic: str, message: Any, stamp_ns: int) -> None:
         """Take one message; a topic that is not shown is left aside."""
+        if topic == CLOCK.name and stamp_ns < self.now_ns:
+            self._jump_back(stamp_ns)
         self.now_ns = max(self.now_ns, stamp_ns)
         self.changed.add(topic)
         match topic:
@@ -133,6 +135,12 @@ class Picture:
                 self._take_method(message.node, message.values)
             case ADMISSIONS.name:
                 self._forget_leavers(message)
+
+    def _jump_back(self, stamp_ns: int) -> None:
+        """A replay begins anew: what has not happened yet is not shown."""
+        self.now_ns = stamp_ns
+        self.falls = [fall for fall in self.falls if fall.stamp_ns <= stamp_ns]
+        self.reports = {}
 
     def forget(self, topic: str) -> None:
         """Be as before the first message of a topic that describes a state."""

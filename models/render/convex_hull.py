@@ -24,6 +24,8 @@ def convex_hull(points: Points) -> NDArray[np.intp]:
         raise ValueError(f"a hull needs at least 4 points (K, 3), got {points.shape}")
     size = float(np.ptp(points, axis=0).max())
     # Nothing is decided by points that happen to lie in one plane if none do.
+    if not size > 0:
+        raise ValueError("the points of a hull must not all be one")
     moved = points + 1e-7 * size * np.random.default_rng(0).standard_normal(points.shape)
     start = _tetrahedron(moved, 1e-5 * size)
     faces = np.array([[start[i] for i in face] for face in ((0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2))])
