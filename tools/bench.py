@@ -5,6 +5,7 @@ from importlib import import_module
 
 BENCHES = {
     "bus": ("bench_bus", "round trips and throughput of the bus beside raw pyzmq and other buses"),
+    "env": ("bench_env", "control steps per second of the tracker's worlds beside bare MuJoCo"),
     "fuzz": ("fuzz", "broken frames of every message type against the receiving end"),
 }
 """By verb: the module in tools/ that has `add_arguments` and `run`, and one line about it."""
