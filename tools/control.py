@@ -13,6 +13,7 @@ VERBS = {
     "resume": "let the clock run on",
     "step": "take so many ticks while paused (default 1)",
     "rate": "simulated per wall time; 0 is as fast as it goes",
+    "seek": "go to a simulated second of the log that is played",
     "stop": "end the graph",
 }
 TIMEOUT = 3.0
@@ -22,14 +23,14 @@ TIMEOUT = 3.0
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add `control` to the command line."""
     parser = subparsers.add_parser(
-        "control", help="pause, resume, step, rate, stop", description="Rule the clock of a running graph."
+        "control", help="pause, resume, step, rate, seek, stop", description="Rule the clock of a running graph."
     )
     verbs = parser.add_subparsers(required=True, dest="verb", metavar="VERB")
     for verb, text in VERBS.items():
         ruling = verbs.add_parser(verb, help=text)
         if verb == "step":
             ruling.add_argument("value", type=int, nargs="?", default=1)
-        elif verb == "rate":
+        elif verb in ("rate", "seek"):
             ruling.add_argument("value", type=float)
         ruling.add_argument("--graph", metavar="NAME", help="which running graph (default: the only one)")
 

@@ -1,7 +1,6 @@
 """Make a scene from a BIWI or UCY recording: `footfall import biwi FOLDER --scene hotel`."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -96,14 +95,10 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import as the arguments say; 0, or 2 after one sentence on what is wrong with the input."""
+    """Import as the arguments say."""
     out = args.out or Path("scenes") / args.scene
-    try:
-        scene = import_biwi(args.folder, args.scene, out)
-        moved = [entry.moved for entry in scene.sample_population(seed=0) if entry.moved > 0]
-    except (SceneError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 2
+    scene = import_biwi(args.folder, args.scene, out)
+    moved = [entry.moved for entry in scene.sample_population(seed=0) if entry.moved > 0]
     assert isinstance(scene.population, RecordedPopulation)
     low_x, low_y, high_x, high_y = scene.bounds
     print(f"{out}: {scene.description}")
