@@ -61,7 +61,9 @@ def stand(s: State, position: Array, heading: Array, speed: Array, height_at: He
     s["goal"], s["shift"] = goal, 0.0
     feet = np.nonzero(np.ones(psi.shape, dtype=bool))
     s["place"] = s["left_from"] = s["target"] = settle(s, feet, height_at).reshape(*psi.shape, 6)
-    s["landing"] = 0.0
+    s["landing"] = s["crouch"] = 0.0
+    if not s["planted"].all():
+        _aim(s, heading, psi, duration, support, height_at)
     s["roll"] = profile_roll(s)
     s["roll_off"] = norms.TOE_OFF_PITCH * s["vigour"][:, None]
 
@@ -121,7 +123,8 @@ def _look_ahead(s: State, heading: Array, dt: float, height_at: HeightAt) -> Non
         [np.cos(heading), np.sin(heading)], -1
     )
     height = height_at(xy.reshape(-1, 2)).reshape(2, -1)
-    s["grade"] += (1.0 - np.exp(-dt / 0.3)) * (np.abs(height[1] - height[0]) / 0.8 - s["grade"])
+    change = np.abs(height[1] - height[0]) / 0.8 - s["grade"]
+    s["grade"] += change * (1.0 - np.exp(-dt / np.where(change > 0.0, 0.15, 0.8)))
 
 
 def _advance_clock(

@@ -164,9 +164,9 @@ class Gait:
         footsteps.advance(
             s, command.position, command.heading, command.speed, command.turn_rate, dt, self.height_at
         )
-        return self._pose(command.heading)
+        return self._pose(command.heading, dt)
 
-    def _pose(self, heading: Array) -> tuple[Array, Array]:
+    def _pose(self, heading: Array, dt: float) -> tuple[Array, Array]:
         s = self.state
         turn, sway, height = pose.pelvis_motion(s)
         quaternion = _quaternion(heading + turn[:, 2], turn[:, 0], turn[:, 1])
@@ -179,7 +179,7 @@ class Gait:
         legs = Legs(s["thigh"], s["shank"])
         hip = (rotation[:, None] @ s["hip"][..., None])[..., 0]
         sole = pose.sole_rotation(s["place"])
-        pose.fit_legs(s, pelvis, hip, sole, legs)
+        pose.fit_legs(s, pelvis, hip, sole, legs, dt)
         legs_angles = pose.solve_legs(s, pelvis, rotation, hip, sole, legs)
 
         joints = np.zeros((len(s), 23, 3))

@@ -20,6 +20,7 @@ _LEAST_KNEE = 0.06  # rad: the straightest a leg may get
 _MAX_ROLL = np.radians(75.0)  # of a standing foot on its toes
 _TOE_BEND = np.radians(50.0)
 _ANKLE_RANGE = JOINT_LIMITS[JOINT_INDEX["L_Ankle_y"]] + np.radians([1.0, -1.0])
+_RISE_RATE = 0.5  # m/s: fastest recovery of the pelvis from a long step
 _SOFT = 0.006  # m: rounding of the pelvis' path where a leg's reach begins to bind
 
 
@@ -42,7 +43,7 @@ def pelvis_motion(s: State) -> tuple[Array, Array, Array]:
     rise = norms.vertical_excursion(speed, 0.5 * speed * duration, leg.reach())
     rise *= np.minimum(vigour, 1.0)
     wave = np.cos(2.0 * (cycle - 2.0 * np.pi * norms.CROSSING * support))
-    height = stand - 0.017 * vigour - 0.055 * run + 0.5 * rise * (wave - 1.0)
+    height = stand - 0.012 * vigour - 0.055 * run + 0.5 * rise * (wave - 1.0)
     return turn, sway, height
 
 
@@ -90,7 +91,7 @@ def toe_bend(s: State) -> Array:
     return -_TOE_BEND * np.tanh(rise / _TOE_BEND) * (1.0 - s["swing"]) ** 1.3
 
 
-def fit_legs(s: State, pelvis: Array, hip: Array, sole: Array, legs: Legs) -> None:
+def fit_legs(s: State, pelvis: Array, hip: Array, sole: Array, legs: Legs, dt: float) -> None:
     """Raise heels, then lower pelvises (n, 3), until every leg reaches its foot.
 
     Args:
@@ -99,8 +100,11 @@ def fit_legs(s: State, pelvis: Array, hip: Array, sole: Array, legs: Legs) -> No
         hip: pelvis to hips (n, 2, 3), world, m.
         sole: `sole_rotation` of the feet.
         legs: the walkers' legs.
+        dt: time since the last pose, s.
     """
     length = legs.reach(_LEAST_KNEE)
+    wanted = pelvis[:, 2].copy()
+    pelvis[:, 2] -= np.maximum(s["crouch"] - _RISE_RATE * dt, 0.0)
     _stoop(s, pelvis, hip, length)
     ankle = ankle_positions(s, sole)
     ahead = np.sum((pelvis[:, None, :2] + hip[..., :2] - ankle[..., :2]) * sole[..., :2, 0], -1)
@@ -123,6 +127,7 @@ def fit_legs(s: State, pelvis: Array, hip: Array, sole: Array, legs: Legs) -> No
     rising = s["planted"] & ~leading
     s["roll"] = np.where(rising, np.maximum(s["roll"], np.minimum(needed, _MAX_ROLL)), s["roll"])
     _lower(pelvis, hip, ankle_positions(s, sole), length)
+    s["crouch"] = wanted - pelvis[:, 2]
 
 
 def _stoop(s: State, pelvis: Array, hip: Array, length: Array) -> None:
@@ -136,7 +141,7 @@ def _stoop(s: State, pelvis: Array, hip: Array, length: Array) -> None:
     across = np.minimum(ahead[:, None], 0.8 * length)
     top = s["target"][..., 2] + lifted - hip[..., 2] + np.sqrt(length**2 - across**2)
     since = smoothstep((s["phase"][:, None] + np.array([0.0, 0.5])) % 1.0 / 0.12)
-    share = np.where(s["planted"], 1.0 - since, smoothstep((s["swing"] - 0.3) / 0.7))
+    share = np.where(s["planted"], 1.0 - since, smoothstep((s["swing"] - 0.1) / 0.9))
     pelvis[:, 2] -= (np.maximum(pelvis[:, 2:] - top, 0.0) * share).max(1)
 
 

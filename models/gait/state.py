@@ -33,6 +33,7 @@ STATE = np.dtype(
         # Rhythm.
         ("phase", "f8"),  # of the stride, [0, 1), 0 at the left heel strike
         ("held", "?"),  # both feet stand and no step is due
+        ("crouch", "f8"),  # m the pelvis is below where it would like to be
         ("vigour", "f8"),  # 0 standing, 1 at a free walk
         # Feet: the place of a flat foot is the point of the sole below the ankle, x y z yaw pitch roll.
         ("planted", "?", (2,)),
