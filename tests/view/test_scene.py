@@ -1,0 +1,130 @@
+"""What is handed to viser: a real server, no browser."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from footfall.messages.steering import DropObstacle, Push, SetWaypoint
+from footfall.messages.topics import PLANS
+from footfall.nodes.viewer_clicks import Clicks
+from footfall.nodes.viewer_panels import Panels
+from footfall.nodes.viewer_people import colour_of
+from footfall.nodes.viewer_picture import Picture
+from footfall.nodes.viewer_scene import Scene
+from footfall.nodes.viewer_server import Window
+from footfall.nodes.viewer_steering import OBSTACLE, PUSH, SELECT, WAYPOINT, SteeringPanel, obstacle_at
+from footfall.tools.view import LogViewer
+from footfall.tools.view_log import LogPictures
+
+
+@pytest.fixture(scope="module")
+def window() -> Iterator[Window]:
+    window = Window("127.0.0.1", 0, "test")
+    yield window
+    window.close()
+
+
+@pytest.fixture
+def server(window):
+    window.server.scene.reset()
+    window.server.gui.reset()
+    return window.server
+
+
+def drawn(server, name: str):
+    return server.scene.get_handle_by_name(name)
+
+
+def test_people_stand_where_their_bodies_are(server, run_log):
+    picture = LogPictures(run_log).show(2.5)
+    scene = Scene(server)
+    scene.draw(picture)
+    states = picture.states
+    assert states is not None and scene._parts
+    for part, handle in scene._parts:
+        assert handle.batched_positions == pytest.approx(states.positions[:, part.body], abs=1e-5)
+        assert (handle.batched_scales > 0.5).all()
+    chosen = drawn(server, "/run/plans").points
+    assert chosen[:, 0, 0].min() == pytest.approx(0.5)  # from where they are
+    assert chosen[..., 0].max() == pytest.approx(0.5 + 1.2 * 5.0, abs=1e-4)  # to the end of the chosen sample
+    assert drawn(server, "/run/samples").points.shape[1:] == (2, 3)
+    assert len(drawn(server, "/run/contacts").batched_positions) == 1
+    assert len(drawn(server, "/run/waypoints").batched_positions) == 3
+    assert len(drawn(server, "/run/groups").points) == 1
+    assert drawn(server, "/run/labels/fall4").text == "#4 has fallen"
+    assert drawn(server, "/run/obstacles") is not None and drawn(server, "/run/buildings").opacity < 1
+
+
+def test_what_is_switched_off_or_over_goes_away(server, run_log):
+    pictures = LogPictures(run_log)
+    scene = Scene(server)
+    scene.draw(pictures.show(2.6))
+    scene.draw(pictures.show(3.5))
+    assert drawn(server, "/run/contacts") is None
+    scene.shown.plans = scene.shown.people = False
+    scene.draw(pictures.show(3.5), everything=True)
+    assert drawn(server, "/run/plans") is None
+    assert all((handle.batched_scales < 1e-3).all() for _, handle in scene._parts)
+    scene.draw(pictures.show(1.0))
+    assert not scene._labels
+
+
+def test_a_plan_s_past_is_not_drawn(server, run_log):
+    pictures = LogPictures(run_log)
+    scene = Scene(server)
+    scene.draw(pictures.show(2.4))
+    lines = drawn(server, "/run/plans").points
+    first = lines[: len(lines) // 3]
+    assert first[0, 0, 0] == pytest.approx(0.4)
+    assert (np.diff(first[:, 0, 0]) > 0).all()
+    assert len(first) == 50 - 4
+
+
+def test_two_runs_are_told_apart_by_colour_or_place(server, run_log):
+    viewer = LogViewer(server, [LogPictures(run_log), LogPictures(run_log)])
+    viewer.time_line.seek(2.0)
+    viewer.refresh()
+    one, other = (drawn(server, f"/{name}/tracks").colors[0, 0] for name in ("first", "second"))
+    assert (one != other).any()
+    server.scene.reset()
+    server.gui.reset()
+    viewer = LogViewer(server, [LogPictures(run_log), LogPictures(run_log)], beside=True)
+    viewer.time_line.seek(2.0)
+    viewer.refresh()
+    assert drawn(server, "/second").position == pytest.approx([14.0, 0.0, 0.0])
+    assert (drawn(server, "/second/tracks").colors[0, 0] == colour_of(0)).all()
+
+
+def test_clicks_select_or_steer(server, messages):
+    picture, sent = Picture(), []
+    for time, item in messages():
+        if time <= 1.0:
+            picture.take(item.topic.name, item.message, round(time * 1e9))
+    panels = Panels(server, [Scene(server)])
+    clicks = Clicks(server, lambda: picture, panels.select)
+    panel = SteeringPanel(server, sent.append)
+    panel.connect(panels, clicks, lambda: picture)
+    panels.update(picture)
+    eye = np.array([-1.0, -6.0, 5.0])
+    clicks.click(eye, np.array([-1.0, -1.0, 1.0]) - eye)
+    assert panels.selected == 0 and "#0" in panels._choice.value
+    panel._action.value = WAYPOINT
+    clicks.click(eye, np.array([2.0, 2.0, 0.0]) - eye)
+    command = sent.pop().command
+    assert isinstance(command, SetWaypoint) and command.agent == 0
+    assert command.position == pytest.approx((2.0, 2.0))
+    panel._action.value = OBSTACLE
+    clicks.click(eye, np.array([2.0, -2.0, 0.0]) - eye)
+    command = sent.pop().command
+    assert isinstance(command, DropObstacle) and command.name == "dropped 1"
+    assert np.mean(command.polygon, axis=0) == pytest.approx([2.0, -2.0])
+    panel._action.value = PUSH
+    clicks.click(eye, np.array([2.0, 2.0, 0.0]) - eye)  # nobody there
+    assert not sent
+    clicks.click(eye, np.array([-1.0, -1.0, 1.0]) - eye)
+    assert sent.pop().command == Push(0, (300.0, 0.0, 0.0))
+    panel._action.value = SELECT
+    assert clicks.on_place is None
+    assert obstacle_at(picture, (3.6, 3.4)) == "crate" and obstacle_at(picture, (0.0, 0.0)) is None
+    assert PLANS.name in picture.changed
