@@ -169,7 +169,7 @@ def _advance_clock(
 def _goals(s: State, root: Array, heading: Array, standing: bool = False) -> Array:
     """Places (n, 2, 3), x y yaw, of feet that carry a root at (n, 2, 2), heading (n, 2)."""
     neutral = s["hip"] + s["thigh"] + s["shank"]
-    narrow = 1.0 if standing else 1.0 - 0.45 * smoothstep(s["speed"] / 0.6)[:, None]
+    narrow = 1.0 if standing else 1.0 - 0.38 * smoothstep(s["speed"] / 0.6)[:, None]
     ahead, left = neutral[..., 0], neutral[..., 1] * narrow
     cos, sin = np.cos(heading), np.sin(heading)
     x = root[..., 0] + cos * ahead - sin * left
