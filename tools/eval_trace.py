@@ -16,8 +16,9 @@ from ..models.trace.planner import WEIGHTS, Sampling, TracePlanner
 from ..models.trace.weights import load_model
 
 QUICK_SCENES = 20
+UNGUIDED = Sampling(solver="dpm", steps=20, samples=1)
 METHODS: dict[str, tuple[Sampling, Guidance]] = {
-    "filter": (Sampling(solver="sde", steps=16, samples=20), Guidance(strength=0.0, inner_steps=1)),
+    "filter": (Sampling(solver="dpm", steps=8, samples=20), Guidance(strength=0.0, inner_steps=1)),
     "noisy": (Sampling(solver="ddim", steps=20, samples=20), Guidance(mode="noisy")),
     "clean": (Sampling(solver="ddim", steps=20, samples=20), Guidance(mode="clean")),
     "direct": (Sampling(solver="dpm", steps=8, samples=20), Guidance(mode="direct")),
@@ -114,15 +115,16 @@ def table_1(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
         for (name, label), figures in PAPER_TABLE_1.items():
             if name == guide:
                 yield [guide, label, *figures, None]
-        for method in ["filter"] if guide == "none" else args.methods:
+        if guide == "none":  # a random sample, three times (app. C.5)
+            report = evaluate(TracePlanner(trace, UNGUIDED), scenes, repeats=3, clock=time.process_time)
+            yield [guide, "unguided", None, *collisions_and_emd(report), report.seconds]
+            continue
+        for method in args.methods:
             planner = TracePlanner(trace, *METHODS[method])
-            repeats = 3 if guide == "none" else 1
-            report = evaluate(planner, scenes, GUIDES[guide], repeats, clock=time.process_time)
-            error = {"none": None, "obstacle": report.obstacle, "agent": report.agent}.get(
-                guide, report.waypoint
-            )
-            shown = "unguided" if guide == "none" else method
-            yield [guide, shown, error, *collisions_and_emd(report), report.seconds]
+            report = evaluate(planner, scenes, GUIDES[guide], clock=time.process_time)
+            errors = {"obstacle": report.obstacle, "agent": report.agent}
+            error = errors.get(guide, report.waypoint)
+            yield [guide, method, error, *collisions_and_emd(report), report.seconds]
 
 
 def table_5(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
@@ -147,7 +149,7 @@ def table_7(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
     """The weight of classifier-free sampling."""
     for weight, figures in PAPER_TABLE_7.items():
         yield [weight, "paper: TRACE", *figures]
-        sampling = dataclasses.replace(METHODS["filter"][0], context_weight=weight)
+        sampling = dataclasses.replace(UNGUIDED, context_weight=weight)
         report = evaluate(TracePlanner(trace, sampling), scenes)
         yield [weight, trace.config.name, *collisions_and_emd(report)]
 
