@@ -8,7 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..body import Body
-from .clip import Clip, about
+from .clip import Clip
+from .recording import about
 from .retarget import refit
 
 _STRAIGHT = np.radians(12.0)  # rad/s: walks that turn less may be bent

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from ..body.skeleton import BODY_NAMES, N_JOINTS
-from .recording import MotionFormatError
+from .recording import MotionFormatError, about
 
 Array = NDArray[np.float64]
 
@@ -26,11 +26,6 @@ MIRROR_JOINTS: NDArray[np.intp] = np.array(
 """(69,) index of each hinge's counterpart."""
 MIRROR_SIGNS: Array = np.tile([-1.0, 1.0, -1.0], N_JOINTS // 3)
 """(69,) sign the angle takes: mirroring left and right flips turns about x and z."""
-
-
-def about(axis: int, angle: Array) -> Rotation:
-    """Rotations by angles (n,), rad, about the x, y or z axis (0, 1, 2)."""
-    return Rotation.from_rotvec(np.eye(3)[axis] * np.asarray(angle)[:, None])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,6 +13,7 @@ from .recording import (
     AXES_FROM_Y_UP_FACING_X,
     MotionFormatError,
     Recording,
+    about,
     global_rotations,
     in_our_axes,
 )
@@ -73,10 +74,8 @@ def read_deepmimic(path: Path | str, rate_hz: float = 60.0) -> Recording:
     for i, (_, _, _, width) in enumerate(_JOINTS):
         values = frames[:, column : column + width]
         column += width
-        if width == 4:
-            turns = Rotation.from_quat(values, scalar_first=True)
-        else:  # elbows and knees bend about z
-            turns = Rotation.from_euler("z", values)
+        quaternions = width == 4  # the others, elbows and knees, bend about z
+        turns = Rotation.from_quat(values, scalar_first=True) if quaternions else about(2, values[:, 0])
         local[:, i] = Slerp(times, turns)(wanted).as_matrix()
     axes = AXES_FROM_Y_UP_FACING_X
     root = CubicSpline(times, frames[:, 1:4])(wanted)

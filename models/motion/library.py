@@ -147,9 +147,9 @@ def load_clips(path: Path | str) -> tuple[list[Clip], list[Body]]:
             bodies = [describe(shape) for shape in file["shapes"]]
         if meta["format"] != _FORMAT:
             raise MotionFormatError(f"{path} is of format {meta['format']}; this version reads {_FORMAT}.")
-    except FileNotFoundError:
+    except (FileNotFoundError, MotionFormatError):
         raise
-    except (KeyError, BadZipFile, OSError, json.JSONDecodeError) as error:
+    except (KeyError, BadZipFile, OSError, ValueError) as error:
         raise MotionFormatError(f"{path} is no motion library: {error}.") from error
     clips = []
     for name, tags, r, j, c in zip(meta["names"], meta["tags"], *parts, strict=True):

@@ -93,6 +93,11 @@ class Recording:
         return replace(self, root=root, rotations=rotations, rate_hz=rate_hz)
 
 
+def about(axis: int, angle: Array) -> Rotation:
+    """Rotations by angles (n,), rad, about the x, y or z axis (0, 1, 2)."""
+    return Rotation.from_rotvec(np.eye(3)[axis] * np.asarray(angle)[:, None])
+
+
 def global_rotations(local: Array, parents: tuple[int, ...]) -> Array:
     """World rotations (T, J, 3, 3) of local ones."""
     rotations = local.copy()

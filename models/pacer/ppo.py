@@ -40,7 +40,7 @@ def advantages(
         goes_on = ~(failed[t] | cut[t])
         ahead = torch.where(goes_on, values[t + 1], torch.where(cut[t], cut_values[t], 0.0))
         delta = rewards[t] + discount * ahead - values[t]
-        following = delta + discount * trace_decay * goes_on * following
+        following = delta + discount * trace_decay * torch.where(goes_on, following, 0.0)
         out[t] = following
     return out
 
