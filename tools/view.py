@@ -24,7 +24,7 @@ TINTS = (np.array([46, 110, 190], np.uint8), np.array([222, 122, 30], np.uint8))
 """Colours of two runs that are compared."""
 BESIDE_GAP = 4.0
 """Gap between two runs side by side [m]."""
-BUTTONS = ("Start", "Back 0.1 s", "Play / pause", "On 0.1 s")
+BUTTONS = ("Start", "Back", "Play / pause", "On")
 SPEEDS: tuple[str, ...] = ("0.25", "0.5", "1", "2", "4", "8")
 
 
@@ -175,9 +175,9 @@ class LogViewer:
             match self._buttons.value:
                 case "Start":
                     line.seek(line.start)
-                case "Back 0.1 s":
+                case "Back":
                     line.seek(line.time - 0.1)
-                case "On 0.1 s":
+                case "On":
                     line.seek(line.time + 0.1)
                 case _:
                     if not line.playing and line.time >= line.end:
