@@ -28,6 +28,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "train trace": ("train_trace", "train the trajectory diffusion model"),
     "train tracker": ("train_tracker", "train the motion tracker"),
     "eval trace": ("eval_trace", "evaluate it"),
+    "eval tracker": ("eval_tracker", "follow clips with a trained tracker: figures and film"),
     "bench": ("bench", "measure: bus, fuzz, ..."),
     "keys": ("keys", "make keys for graphs open to the network"),
 }

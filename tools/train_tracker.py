@@ -165,11 +165,15 @@ class TrainingRun:
             print("warning: the critic or the policy diverges", file=sys.stderr, flush=True)
 
     def _append(self, name: str, row: dict[str, float]) -> None:
+        """Append a row; a file that is there keeps its columns."""
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / name
-        new = not path.is_file()
+        columns = list(row)
+        if path.is_file():
+            with path.open(newline="") as file:
+                columns = next(csv.reader(file))
+        else:
+            with path.open("w", newline="") as file:
+                csv.writer(file).writerow(columns)
         with path.open("a", newline="") as file:
-            writer = csv.writer(file)
-            if new:
-                writer.writerow(row)
-            writer.writerow([f"{value:.6g}" for value in row.values()])
+            csv.writer(file).writerow([f"{row[c]:.6g}" if c in row else "" for c in columns])

@@ -60,6 +60,8 @@ class TrackerConfig:
     trace_decay: float = 0.95
     """Lambda of generalised advantage estimation (Schulman et al. 2016)."""
     clip: float = 0.2
+    bfloat16: bool = True
+    """Whether learning multiplies matrices in bfloat16."""
     target_kl: float = 0.015
     """Divergence per update that the learning rate is held to."""
     rate: float = 3e-4
@@ -82,6 +84,7 @@ CONFIGS: dict[str, TrackerConfig] = {
         epochs=6,
         minibatch=16384,
         discount=0.99,
+        bfloat16=False,
         rate=2e-5,
         rate_bounds=(2e-5, 2e-5),
     ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ class TrackerTraining:
             clip=config.clip,
             epochs=config.epochs,
             minibatch=config.minibatch,
+            bfloat16=config.bfloat16,
         )
         self.updates = 0
         self.samples = 0
@@ -43,8 +45,12 @@ class TrackerTraining:
 
     def update(self) -> dict[str, float]:
         """Collect ``horizon`` steps of all worlds and learn from them; returns figures for the curve."""
+        begun = time.perf_counter()
         rollout, figures = self._collect()
+        learning = time.perf_counter()
         figures |= self.ppo.update(rollout)
+        now = time.perf_counter()
+        figures["learning_share"] = (now - learning) / (now - begun)
         self.updates += 1
         self.samples += len(rollout.returns)
         figures["mean_value"] = float(rollout.returns.mean())

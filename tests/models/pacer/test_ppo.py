@@ -80,12 +80,14 @@ def learner(model, target_kl=0.02):
     return PPO(model, rate=3e-3, rate_bounds=bounds, target_kl=target_kl, clip=0.2, epochs=4, minibatch=256)
 
 
-def test_it_learns_the_action_that_is_rewarded():
+@pytest.mark.parametrize("bfloat16", [False, True])
+def test_it_learns_the_action_that_is_rewarded(bfloat16):
     """One step, reward 1 - |a - W o|^2: the policy must become W."""
     torch.manual_seed(0)
     target = torch.tensor([[0.5, -0.3], [0.2, 0.4]])
     model = ActorCritic(2, 2, (32,), 0.2)
     ppo = learner(model)
+    ppo.bfloat16 = bfloat16
     errors = []
     for _ in range(60):
         seen = torch.randn(512, 2)

@@ -1,0 +1,81 @@
+"""`footfall eval tracker`: how well a tracker follows the clips of a library, in figures and as a film."""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..models.motion.library import MotionLibrary, load_clips
+from ..models.pacer.body_masks import MASKS
+from ..models.pacer.tracker_env import TrackerEnv
+from ..models.pacer.tracker_evaluation import evaluate
+from ..models.pacer.weights import load_tracker
+
+
+class EvaluationError(ValueError):
+    """A clip that is not in the library."""
+
+
+def add_parser(subparsers) -> None:
+    """Add `eval tracker` to the command line."""
+    parser = subparsers.add_parser("tracker", help="the motion tracker")
+    parser.add_argument("--model", type=Path, default=Path("runs/tracker_compact/model.safetensors"))
+    parser.add_argument("--motions", type=Path, default=Path("data/motions.npz"))
+    parser.add_argument("--mask", choices=sorted(MASKS), default="whole", help="what the tracker is told")
+    parser.add_argument("--augmented", action="store_true", help="mirror images and bent walks, too")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--film", type=Path, help="film (.mp4) of simulated people beside their references")
+    parser.add_argument("--clips", nargs="+", help="clips to film (default: six across the library)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Evaluate, print a line a clip and the summary, and film."""
+    torch.set_num_threads(2)
+    model, config, facts = load_tracker(args.model)
+    clips, bodies = load_clips(args.motions)
+    chosen = [clip for clip in clips if args.augmented or "parent" not in clip.tags]
+    library = MotionLibrary(chosen, bodies)
+    result = evaluate(model, library, config, mask=MASKS[args.mask])
+    figures = result.summary() | {"clips": len(library), "samples": facts.get("samples", 0)}
+    if args.json:
+        print(json.dumps(figures))
+    else:
+        for i, clip in enumerate(library.clips):
+            print(
+                f"{clip.name:<28} {clip.speed:5.2f} m/s  {result.seconds[i]:5.1f} of {clip.duration:5.1f} s  "
+                f"{1e3 * result.relative_error[i]:5.0f} mm  {'' if result.tracked[i] else 'lost'}"
+            )
+        for name, value in figures.items():
+            print(f"{name}: {value:.4g}")
+    if args.film:
+        names = [clip.name for clip in library.clips]
+        wanted = args.clips or names[:: max(len(names) // 6, 1)][:6]
+        for name in wanted:
+            if name not in names:
+                raise EvaluationError(f"there is no clip {name!r} in {args.motions}")
+        _film(args.film, model, config, library, np.array([names.index(name) for name in wanted]))
+    return 0
+
+
+def _film(path: Path, model, config, library: MotionLibrary, clips: np.ndarray) -> None:
+    """Film simulated people, each with its reference ahead of them on the next lane."""
+    from .motion_film import film
+
+    env = TrackerEnv(config, library, len(clips))
+    ids = np.arange(len(clips))
+    env.place(ids, clips, np.zeros(len(clips), dtype=np.intp))
+    frames = []
+    for _ in range(int(library.lengths[clips].max()) - 1):
+        frames.append(np.concatenate([env.world.positions, env.world.quaternions], axis=-1))
+        env.advance(model.act(torch.from_numpy(env.observe())).numpy())
+        env.hold_at_end()
+    simulated = np.array(frames, dtype=np.float32)  # (T, n, 24, 7)
+    states = []
+    for i, clip in enumerate(clips):
+        length = int(library.lengths[clip])
+        start = int(library.starts[clip])
+        states += [simulated[: length - 1, i], library.states[0, start : start + length - 1]]
+    film(path, states, library.bodies[0], library.rate_hz)
