@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -14,12 +15,15 @@ from footfall.messages.clock import Clock
 from footfall.messages.codec import Codec
 from footfall.messages.graph import Graph
 from footfall.messages.log import LogWriter
-from footfall.messages.topics import CLOCK
+from footfall.messages.topics import CLOCK, MAP, Topic
 
 TABLE = Path(footfall.__file__).parent / "docs" / "errors.md"
 
 CROSSING = "include: [{file: crossing.yaml}]\n"
-PLANNER_TWICE = "nodes: {second: {module: footfall.nodes.planner, inputs: [map, bodies, objectives, agents], outputs: [plans]}}\n"
+PLANNER_TWICE = (
+    "nodes: {second: {module: footfall.nodes.planner,"
+    " inputs: [map, bodies, objectives, agents], outputs: [plans]}}\n"
+)
 FILES = {
     "key.yaml": CROSSING + "clock: {mod: lockstep}\n",
     "choice.yaml": CROSSING + "clock: {mode: locstep}\n",
@@ -57,7 +61,7 @@ CASES = {
     "a file that is no log": (["log", "info", "text.mcap"], "is not an MCAP file"),
     "an empty log": (["log", "info", "empty.mcap"], "is empty"),
     "a log without what the command needs": (["log", "plot", "clock.mcap"], "map"),
-    "a log of another release": (["regress", "foreign.mcap", "--node", "planner"], "foreign.mcap"),
+    "a log of another release": (["log", "plot", "foreign.mcap"], "map@map_server was recorded as OldMap"),
     "a node the log does not know": (["regress", "clock.mcap", "--node", "plannr"], "plannr"),
     "a place that may not be written": (
         ["launch", "crossing", "--record", "locked/run.mcap"],
@@ -69,6 +73,12 @@ CASES = {
 }
 
 
+class OldMap(msgspec.Struct, frozen=True):
+    """What `map` may have been in another release."""
+
+    floors: int
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory):
     """A working folder with everything the cases need."""
@@ -76,12 +86,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory):
     for name, text in FILES.items():
         (place / name).write_text(text)
     codec = Codec(CLOCK.name, Clock)
-    for name, data in {
-        "clock.mcap": codec.encode_inline(Clock(0, 1, "free")),
-        "foreign.mcap": b"\x80",
-    }.items():
-        with LogWriter(place / name, Graph("tiny", [])) as writer:
-            writer.write(CLOCK, "simulator", 0, 0, 0, data)
+    with LogWriter(place / "clock.mcap", Graph("tiny", [])) as writer:
+        writer.write(CLOCK, "simulator", 0, 0, 0, codec.encode_inline(Clock(0, 1, "free")))
+    old = Topic(MAP.name, OldMap, latched=True)
+    with LogWriter(place / "foreign.mcap", Graph("tiny", [])) as writer:
+        writer.write(old, "map_server", 0, 0, 0, Codec(old.name, OldMap).encode_inline(OldMap(2)))
     (place / "locked").mkdir()
     (place / "locked").chmod(0o500)
     subprocess.run(

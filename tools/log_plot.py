@@ -43,7 +43,7 @@ def read_run(log_path: str | Path) -> Run:
     """Collect map, tracks, goals and collisions of a log.
 
     Raises:
-        LogError: not a log, or one without a map.
+        LogError: not a log, one without a map, or one of another release.
     """
     place: SemanticMap | None = None
     rows: dict[int, list[tuple[float, float, float]]] = defaultdict(list)
@@ -53,9 +53,12 @@ def read_run(log_path: str | Path) -> Run:
     score: Score | None = None
     overlaps: list[np.ndarray] = []
     touching: set[tuple[int, int]] = set()
-    wanted = {topic.name for topic in (AGENTS, BODIES, MAP, OBJECTIVES, RECORDED_TRACKS, SCORE)}
     reader = LogReader(log_path)
-    for item in reader.messages(topics=wanted & set(reader.topics)):
+    topics = (AGENTS, BODIES, MAP, OBJECTIVES, RECORDED_TRACKS, SCORE)
+    wanted = [topic for topic in topics if topic.name in reader.topics]
+    for topic in wanted:
+        reader.read(topic)  # refuses what was recorded as another type
+    for item in reader.messages(topics=[topic.name for topic in wanted]):
         message = item.message
         match item.topic:
             case MAP.name:
