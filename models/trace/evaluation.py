@@ -1,0 +1,221 @@
+"""Open-loop evaluation on the test scenes of a set of crowds (Rempe et al. 2023, sec. 4.1)."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from .config import TraceConfig
+from .crowd_file import SPLITS, Crowds
+from .metrics import (
+    Array,
+    agent_collisions,
+    displacement_errors,
+    mean_accelerations,
+    obstacle_collisions,
+    realism,
+    waypoint_error,
+)
+from .objectives import Objective
+from .planner import TracePlanner
+from .scene_map import SceneMaps
+from .windows import CrowdWindows
+
+WAYPOINT_FRAME = 40  # the waypoint is where the person truly is after four seconds
+
+
+@dataclass(frozen=True)
+class TrialScene:
+    """One scene at the moment from which the future is predicted.
+
+    Attributes:
+        states: (A, 31, 4) world states, as the planner takes them.
+        size: (A, 2) [m].
+        truth: (A, 51, 2) observed positions, the current one first [m].
+        maps: Map, or None.
+        polygons: Obstacle outlines.
+        radius: Of the discs [m].
+    """
+
+    states: torch.Tensor
+    size: torch.Tensor
+    truth: Array
+    maps: SceneMaps | None
+    polygons: Sequence[Array]
+    radius: float
+
+    @property
+    def goal(self) -> Array:
+        """(A, 2) where everybody truly is after four seconds [m]."""
+        return self.truth[:, WAYPOINT_FRAME]
+
+
+class TrialScenes:
+    """The test split, every scene once: three seconds of history, then five to predict."""
+
+    def __init__(self, crowds: Crowds, config: TraceConfig, split: str = "test", limit: int | None = None):
+        self.dt = crowds.dt
+        self._windows = CrowdWindows(crowds, split, config)
+        self._rows = np.flatnonzero(crowds.split == SPLITS.index(split))[:limit]
+        self._crowds, self._config = crowds, config
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __iter__(self) -> Iterator[TrialScene]:
+        windows, now = self._windows, self._config.history - 1
+        for scene, row in enumerate(self._rows):
+            stay = windows.present[scene, :, now] & windows.present[scene, :, now + self._config.plan]
+            people = stay.nonzero()[:, 0]
+            if not len(people):
+                continue
+            states = windows.states[scene, people, : now + 1]
+            truth = windows.observed[scene, people, now : now + self._config.plan + 1].numpy()
+            size = torch.full((len(people), 2), 2 * windows.radius)
+            maps = windows.maps(torch.tensor([scene]))
+            yield TrialScene(states, size, truth, maps, self._crowds.polygons_of(int(row)), windows.radius)
+
+
+@dataclass
+class Report:
+    """Figures of one method over all test scenes; rates in 0 to 1, distances in m.
+
+    Attributes:
+        obstacle: Mean share of time in an obstacle.
+        agent: Mean over scenes of the share of people who ever touch another.
+        waypoint: Mean smallest distance to the waypoint.
+        ade: Of the sample nearest to the truth.
+        fde: Of the same sample.
+        emd: Histogram distances of speed, longitudinal and lateral acceleration.
+        emd_compat: The same with accelerations projected on the world axes.
+        accelerations: Mean absolute longitudinal and lateral acceleration [m/s^2].
+        seconds: CPU time per scene.
+    """
+
+    obstacle: float
+    agent: float
+    waypoint: float
+    ade: float
+    fde: float
+    emd: dict[str, float]
+    emd_compat: dict[str, float]
+    accelerations: tuple[float, float]
+    seconds: float = 0.0
+
+
+@dataclass
+class Tally:
+    """Collects chosen trajectories scene by scene."""
+
+    dt: float
+    obstacle: list[Array] = field(default_factory=list)
+    agent: list[float] = field(default_factory=list)
+    waypoint: list[Array] = field(default_factory=list)
+    ade: list[Array] = field(default_factory=list)
+    fde: list[Array] = field(default_factory=list)
+    walked: list[Array] = field(default_factory=list)
+    truth: list[Array] = field(default_factory=list)
+
+    def add(self, scene: TrialScene, positions: Array, chosen: NDArray[np.int_]) -> None:
+        """Count one scene's samples (A, S, T, 2) and the chosen one of each agent (A,)."""
+        rows = np.arange(len(positions))
+        path = positions[rows, chosen]
+        self.obstacle.append(obstacle_collisions(path, scene.radius, scene.polygons))
+        self.agent.append(float(agent_collisions(path, scene.radius).mean()))
+        self.waypoint.append(waypoint_error(path, scene.goal))
+        ade, fde = displacement_errors(positions, scene.truth[:, 1:])
+        best = ade.argmin(1)
+        self.ade.append(ade[rows, best])
+        self.fde.append(fde[rows, best])
+        self.walked.append(np.concatenate([scene.truth[:, :1], path], 1))
+        self.truth.append(scene.truth)
+
+    def report(self, seconds: float = 0.0) -> Report:
+        """The figures so far."""
+        walked, truth = np.concatenate(self.walked), np.concatenate(self.truth)
+
+        def mean(rows: list[Array]) -> float:
+            return float(np.concatenate(rows).mean())
+
+        return Report(
+            obstacle=mean(self.obstacle),
+            agent=float(np.mean(self.agent)),
+            waypoint=mean(self.waypoint),
+            ade=mean(self.ade),
+            fde=mean(self.fde),
+            emd=realism(walked, truth, self.dt),
+            emd_compat=realism(walked, truth, self.dt, compatible=True),
+            accelerations=mean_accelerations(walked, self.dt),
+            seconds=seconds,
+        )
+
+
+Wishes = Callable[[TrialScene], list[Objective]]
+
+
+def no_wish(scene: TrialScene) -> list[Objective]:
+    """Unguided."""
+    return []
+
+
+def avoid_obstacles(scene: TrialScene) -> list[Objective]:
+    """Stay out of obstacles."""
+    return [Objective("obstacle_avoid", {"buffer": 0.03})]
+
+
+def avoid_agents(scene: TrialScene) -> list[Objective]:
+    """Keep 0.2 m from everybody (app. C.5)."""
+    return [Objective("agent_avoid", {"buffer": 0.2})]
+
+
+def reach_waypoint(scene: TrialScene) -> list[Objective]:
+    """Pass the waypoint at any time."""
+    return [Objective("waypoint", {"goal": torch.from_numpy(scene.goal), "temperature": 0.2})]
+
+
+def everything(scene: TrialScene) -> list[Objective]:
+    """Waypoint and both avoidances; the last to correct a trajectory is the avoidance of obstacles."""
+    return [*reach_waypoint(scene), *avoid_agents(scene), *avoid_obstacles(scene)]
+
+
+GUIDES: dict[str, Wishes] = {
+    "none": no_wish,
+    "obstacle": avoid_obstacles,
+    "agent": avoid_agents,
+    "waypoint": reach_waypoint,
+    "all": everything,
+}
+
+
+def evaluate(
+    planner: TracePlanner,
+    scenes: TrialScenes,
+    wishes: Wishes = no_wish,
+    repeats: int = 1,
+    choose_best: bool = False,
+    clock: Callable[[], float] = lambda: 0.0,
+) -> Report:
+    """Plan every test scene and count.
+
+    Args:
+        planner: With its sampling and guidance.
+        scenes: Test scenes.
+        wishes: Objectives of a scene.
+        repeats: Runs with different seeds that are averaged (three for unguided rows, app. C.5).
+        choose_best: Count the sample nearest to the truth instead of the chosen one (tables 5 and 6).
+        clock: CPU seconds, for the report.
+    """
+    tally = Tally(scenes.dt)
+    begun, count = clock(), 0
+    for repeat in range(repeats):
+        for number, scene in enumerate(scenes):
+            seed = 1000 * repeat + number
+            plan = planner.plan(scene.states, scene.size, scene.maps, wishes(scene), seed=seed)
+            chosen = plan.chosen
+            if choose_best:
+                chosen = displacement_errors(plan.positions, scene.truth[:, 1:])[0].argmin(1)
+            tally.add(scene, plan.positions, chosen)
+            count += 1
+    return tally.report((clock() - begun) / count)
