@@ -41,6 +41,7 @@ class Gate:
         """Connections turned away so far."""
         self._inner = inner
         self._token = token
+        self._open: set[asyncio.StreamWriter] = set()
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, name="viewer-gate", daemon=True)
         self._thread.start()
@@ -68,10 +69,10 @@ class Gate:
         server = await asyncio.start_server(self._answer, sock=self._socket, limit=HEAD_BYTES)
         await self._stop.wait()
         server.close()
-        tasks = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        while self._open:
+            for end in tuple(self._open):
+                end.transport.abort()
+            await asyncio.sleep(0.01)
 
     def close(self) -> None:
         """Stop listening and let go of all connections."""
@@ -82,6 +83,7 @@ class Gate:
     async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """One connection: look at its first request, then pass bytes on both ways."""
         inner: asyncio.StreamWriter | None = None
+        self._open.add(writer)
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_TIMEOUT)
             answer = self.judge(head)
@@ -91,6 +93,7 @@ class Gate:
                 await writer.drain()
                 return
             back, inner = await asyncio.open_connection("127.0.0.1", self._inner)
+            self._open.add(inner)
             inner.write(head if _is_web_socket(head) else _closing(head))
             await asyncio.gather(_pass_on(reader, inner), _pass_on(back, writer))
         except (asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError, OSError):
@@ -99,8 +102,9 @@ class Gate:
             for end in (writer, inner):
                 if end is not None:
                     end.close()
-                    with contextlib.suppress(OSError, asyncio.CancelledError):
+                    with contextlib.suppress(OSError):
                         await end.wait_closed()
+                    self._open.discard(end)
 
     def judge(self, head: bytes) -> bytes | None:
         """What to answer to a request's head: None lets it pass."""

@@ -93,13 +93,14 @@ def test_a_log_is_played_in_a_browser(browser, run_log):
             "() => [...document.querySelectorAll('input')].some(i => Number(i.value) >= 3)"
         )
         page.get_by_role("tab", name="Graph").click()
-        page.wait_for_selector("text=planner")
+        page.wait_for_selector("td:text-is('planner')")
         assert not page.get_by_text("Share", exact=True).count()
         assert not seen.errors and not seen.outside(url)
         page.close()
     finally:
         process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 130
+        process.communicate(timeout=20)
+    assert process.returncode == 130
 
 
 def test_a_running_graph_is_steered_and_the_steering_recorded(browser, tmp_path):
@@ -134,7 +135,7 @@ def test_a_running_graph_is_steered_and_the_steering_recorded(browser, tmp_path)
         page.close()
     finally:
         process.send_signal(signal.SIGINT)
-        process.wait(30)
+        process.communicate(timeout=30)
     reader = LogReader(tmp_path / "run.mcap")
     commands = [item.message.command for item in reader.read(STEERING)]
     assert any(isinstance(c, SetSpeed) and c.agent == 0 and c.speed == pytest.approx(2.2) for c in commands)
