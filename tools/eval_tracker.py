@@ -26,7 +26,11 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--mask", choices=sorted(MASKS), default="whole", help="what the tracker is told")
     parser.add_argument("--augmented", action="store_true", help="mirror images and bent walks, too")
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--film", type=Path, help="film (.mp4) of simulated people beside their references")
+    parser.add_argument(
+        "--film",
+        type=Path,
+        help="simulated people beside their references, as a film (.mp4) or strips (.png)",
+    )
     parser.add_argument("--clips", nargs="+", help="clips to film (default: six across the library)")
     parser.set_defaults(run=run)
 
@@ -61,8 +65,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _film(path: Path, model, config, library: MotionLibrary, clips: np.ndarray) -> None:
-    """Film simulated people, each with its reference ahead of them on the next lane."""
-    from .motion_film import film
+    """Film simulated people, each with their reference on the next lane."""
+    from .motion_film import draw_strips, film
 
     env = TrackerEnv(config, library, len(clips))
     ids = np.arange(len(clips))
@@ -77,5 +81,6 @@ def _film(path: Path, model, config, library: MotionLibrary, clips: np.ndarray) 
     for i, clip in enumerate(clips):
         length = int(library.lengths[clip])
         start = int(library.starts[clip])
-        states += [simulated[: length - 1, i], library.states[0, start : start + length - 1]]
-    film(path, states, library.bodies[0], library.rate_hz)
+        states += [simulated[: length - 1, i], library.states[0, start : start + length - 1, :, :7]]
+    draw = draw_strips if path.suffix == ".png" else film
+    draw(path, states, library.bodies[0], library.rate_hz)
