@@ -59,13 +59,13 @@ def with_viewer(graph: Graph, config: Mapping[str, Any]) -> Graph:
 def viewer_config(address: str) -> tuple[dict[str, Any], str]:
     """Configuration of a viewer at HOST:PORT, and what to open in a browser.
 
-    Without an address the first free port from 8080 on is taken.
+    Without an address the first free port from 8080 on is taken, with port 0 any.
 
     Raises:
         ConfigError: not an address, or one that is taken.
     """
     host, port = _parse(address) if address else ("127.0.0.1", _free_port())
-    _check_free(host, port)
+    port = _free(host, port)
     shown = f"[{host}]" if ":" in host else host
     if host in LOOPBACK:
         return {"host": host, "port": port}, f"http://{shown}:{port}"
@@ -102,9 +102,11 @@ def _free_port() -> int:
     raise ConfigError("--view: no free port")
 
 
-def _check_free(host: str, port: int) -> None:
+def _free(host: str, port: int) -> int:
+    """The port itself, or any free one for 0."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        socket.create_server((host, port), family=family).close()
+        with socket.create_server((host, port), family=family) as server:
+            return server.getsockname()[1]
     except OSError as error:
         raise ConfigError(f"--view {host}:{port}: cannot listen there: {error.strerror}") from None
