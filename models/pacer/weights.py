@@ -21,8 +21,8 @@ def config_from_dict(values: dict[str, Any]) -> TrackerConfig:
     try:
         physics = Physics(**values.pop("physics"))
         rewards = RewardTerms(**{name: tuple(pair) for name, pair in values.pop("rewards").items()})
-        lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
-        return TrackerConfig(physics=physics, rewards=rewards, **(values | lists))
+        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        return TrackerConfig(physics=physics, rewards=rewards, **plain)
     except (KeyError, TypeError) as error:
         raise WeightsError(f"these settings are of another version: {error}") from error
 
