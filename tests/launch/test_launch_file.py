@@ -134,7 +134,7 @@ def test_key_files_are_relative_to_the_file_that_names_them(tmp_path: Path) -> N
         ),
         (
             "nodes: {a: {module: m, inputs: {map: newest}}}",
-            "nodes.a.inputs.map: policy: Invalid enum value 'newest'",
+            "nodes.a.inputs.map: policy: no such choice 'newest'",
         ),
         ("nodes: {a: {module: m, inputs: {map: {queue: 0}}}}", "depth 0"),
         ("nodes: {a: {module: m, inputs: {map: {queue: 2, depth: 3}}}}", "leave those out"),
@@ -145,7 +145,7 @@ def test_key_files_are_relative_to_the_file_that_names_them(tmp_path: Path) -> N
         ("nodes: {A b: {module: m}}", "a node's name is small letters"),
         ("nodes: {a: {module: $modle}}", "'modle' is not among the file's `args`; known: none"),
         ("args: {module: m}\nnodes: {a: {module: $modle}}", "did you mean 'module'?"),
-        ("clock: {mode: lokstep}", "clock.mode: Invalid enum value 'lokstep'"),
+        ("clock: {mode: lokstep}", "clock.mode: no such choice 'lokstep'"),
         ("duration: -1", "duration: -1 s, must be above 0"),
         ("seed: 1\nseed: 2", "own.yaml:2: not valid YAML: key 'seed' is written twice"),
         ("nodes: {a: [}", "own.yaml:1: not valid YAML"),
