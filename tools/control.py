@@ -23,7 +23,9 @@ TIMEOUT = 3.0
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add `control` to the command line."""
     parser = subparsers.add_parser(
-        "control", help="pause, resume, step, rate, seek, stop", description="Rule the clock of a running graph."
+        "control",
+        help="pause, resume, step, rate, seek, stop",
+        description="Rule the clock of a running graph.",
     )
     verbs = parser.add_subparsers(required=True, dest="verb", metavar="VERB")
     for verb, text in VERBS.items():
