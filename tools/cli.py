@@ -51,7 +51,9 @@ def main(arguments: list[str] | None = None) -> int:
     if traceback:
         arguments.remove("--traceback")
     try:
-        return _run(arguments)
+        code = _run(arguments)
+        sys.stdout.flush()  # a closed pipe shows here, not when the interpreter ends
+        return code
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:  # `footfall topic echo ... | head`
