@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
+import shapely
 from msgspec import Meta
 
 from ..messages.agents import AgentStates
@@ -243,17 +244,9 @@ def free_point(scene: Scene, area: str, rng: np.random.Generator) -> np.ndarray:
     polygon = scene.areas[area]
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     points = rng.uniform(low, high, (64, 2))
-    inside = _contains(polygon, points) & (scene.obstacle_distance(points) > _BODY_RADIUS)
+    inside = shapely.contains_xy(shapely.Polygon(polygon), *points.T)
+    inside &= scene.obstacle_distance(points) > _BODY_RADIUS
     return points[inside.argmax()] if inside.any() else polygon.mean(axis=0)
-
-
-def _contains(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Which points (N, 2) lie inside a polygon (K, 2): even-odd rule."""
-    a, b = polygon, np.roll(polygon, -1, axis=0)
-    x, y = points[:, :1], points[:, 1:]
-    crosses = (a[:, 1] > y) != (b[:, 1] > y)
-    slope = np.where(b[:, 1] == a[:, 1], 1.0, b[:, 1] - a[:, 1])
-    return (crosses & (x < (b[:, 0] - a[:, 0]) * (y - a[:, 1]) / slope + a[:, 0])).sum(axis=1) % 2 == 1
 
 
 if __name__ == "__main__":
