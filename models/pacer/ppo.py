@@ -100,7 +100,8 @@ class PPO:
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         """Learn from a rollout; returns the divergence, losses and explained variance."""
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.bfloat16):
+        # No cache: it would keep the weights of the first minibatch for the whole update.
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.bfloat16, cache_enabled=False):
             return self._update(rollout)
 
     def _update(self, rollout: Rollout) -> dict[str, float]:
