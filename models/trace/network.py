@@ -38,8 +38,8 @@ class Encoding:
         return Encoding(many(self.condition), self.map.repeat(samples), many(self.crowd), many(self.state))
 
 
-class Trace(nn.Module):
-    """Predicts the clean action trajectory from a noisy one (Rempe et al. 2023, sec. 3.1 and app. A.1).
+class ActionModel(nn.Module):
+    """What models of action trajectories share: encoders of the context, statistics and dynamics.
 
     Actions are normalised (zero mean, unit variance over the training data); states follow from them
     through the unicycle. The statistics are buffers and travel with the weights.
@@ -60,11 +60,6 @@ class Trace(nn.Module):
         self.neighbor = Mlp(8 * frames, config.history_hidden, width)
         joint = 2 * width + self.map_encoder.vector_width
         self.joint = Mlp(joint, config.context_hidden, config.context_width)
-        self.step = StepEmbedding(config.step_width)
-        inputs = 6 + self.map_encoder.queries + (6 if config.interaction else 0)
-        condition = config.context_width + config.step_width
-        shape = (config.widths, condition, config.kernel, config.activation, config.fold)
-        self.unet = TemporalUNet(inputs, 2, *shape)
         for name, size in (
             ("trajectory", 6),
             ("history", 8),
@@ -81,36 +76,6 @@ class Trace(nn.Module):
         joint = [self.ego(ego.flatten(1)), self._interaction(neighbors), map_features.vector]
         condition = self.joint(torch.cat(joint, -1))
         return Encoding(condition, map_features, self._extrapolate(context), context.initial_state())
-
-    def forward(self, noisy: Tensor, k: Tensor, encoding: Encoding) -> Tensor:
-        """Clean actions predicted from noisy ones.
-
-        Args:
-            noisy: (B, horizon, 2) normalised actions at diffusion step k.
-            k: (B,) step indices, 0 is the least noisy.
-            encoding: B rows.
-
-        Returns:
-            (B, horizon, 2) normalised clean actions.
-        """
-        trajectory = self.unroll(noisy, encoding.state)  # (B, T, 6) metres, in the ego frame
-        with torch.no_grad():
-            positions = trajectory[..., :2].detach()
-            queries = [self.map_encoder.query(encoding.map, positions)]
-            if self.config.interaction:
-                queries.append(crowd_field(positions, encoding.crowd))
-        normal = (trajectory - self.trajectory_mean) / self.trajectory_std
-        if encoding.map.grid is not None:  # a learned grid is trained through its queries
-            queries[0] = self.map_encoder.query(encoding.map, positions)
-        condition = torch.cat([encoding.condition, self.step(k)], -1)
-        kind = next(self.unet.parameters()).dtype
-        return self.unet(torch.cat([normal, *queries], -1).to(kind), condition.to(kind)).to(noisy.dtype)
-
-    def reduced(self) -> "Trace":
-        """A copy whose U-Net computes in bfloat16, for inference; everything else stays as it is."""
-        copy = deepcopy(self)
-        copy.unet.bfloat16()
-        return copy
 
     def unroll(self, actions: Tensor, state: Tensor) -> Tensor:
         """States and actions, in SI units and the ego frame, of normalised actions.
@@ -144,6 +109,48 @@ class Trace(nn.Module):
         velocity = now[..., 4:5] * now[..., 2:4]
         path = now[..., None, :2] + velocity[..., None, :] * time[:, None]
         return torch.cat([path, now[..., None, 7:].expand(*path.shape[:-1], 1)], -1)
+
+
+class Trace(ActionModel):
+    """Predicts the clean action trajectory from a noisy one (Rempe et al. 2023, sec. 3.1 and app. A.1)."""
+
+    def __init__(self, config: TraceConfig):
+        super().__init__(config)
+        self.step = StepEmbedding(config.step_width)
+        inputs = 6 + self.map_encoder.queries + (6 if config.interaction else 0)
+        condition = config.context_width + config.step_width
+        shape = (config.widths, condition, config.kernel, config.activation, config.fold)
+        self.unet = TemporalUNet(inputs, 2, *shape)
+
+    def forward(self, noisy: Tensor, k: Tensor, encoding: Encoding) -> Tensor:
+        """Clean actions predicted from noisy ones.
+
+        Args:
+            noisy: (B, horizon, 2) normalised actions at diffusion step k.
+            k: (B,) step indices, 0 is the least noisy.
+            encoding: B rows.
+
+        Returns:
+            (B, horizon, 2) normalised clean actions.
+        """
+        trajectory = self.unroll(noisy, encoding.state)  # (B, T, 6) metres, in the ego frame
+        with torch.no_grad():
+            positions = trajectory[..., :2].detach()
+            queries = [self.map_encoder.query(encoding.map, positions)]
+            if self.config.interaction:
+                queries.append(crowd_field(positions, encoding.crowd))
+        normal = (trajectory - self.trajectory_mean) / self.trajectory_std
+        if encoding.map.grid is not None:  # a learned grid is trained through its queries
+            queries[0] = self.map_encoder.query(encoding.map, positions)
+        condition = torch.cat([encoding.condition, self.step(k)], -1)
+        kind = next(self.unet.parameters()).dtype
+        return self.unet(torch.cat([normal, *queries], -1).to(kind), condition.to(kind)).to(noisy.dtype)
+
+    def reduced(self) -> "Trace":
+        """A copy whose U-Net computes in bfloat16, for inference; everything else stays as it is."""
+        copy = deepcopy(self)
+        copy.unet.bfloat16()
+        return copy
 
 
 def crowd_field(positions: Tensor, crowd: Tensor, scales: tuple[float, float] = (0.5, 1.5)) -> Tensor:
