@@ -33,20 +33,27 @@ from ..models.trace.training import (
     fit_statistics,
     vary_observation,
 )
+from ..models.trace.vae import TraceVae, VaeStep, vae_loss
 from ..models.trace.weights import load_tensors, save_model, save_tensors
 from ..models.trace.windows import CrowdWindows
 from .train_curve import draw_curve
+
+MODELS = {"trace": (Trace, DenoisingStep, denoising_loss), "vae": (TraceVae, VaeStep, vae_loss)}
+"""By name: the network, what data-parallel training wraps, and the loss."""
 
 
 def add_parser(subparsers) -> None:
     """Add `train trace` to the command line."""
     parser = subparsers.add_parser("trace", help="the trajectory diffusion model")
     parser.add_argument("--config", choices=sorted(CONFIGS), default="compact")
+    parser.add_argument(
+        "--model", choices=sorted(MODELS), default="trace", help="the diffusion model, or the VAE baseline"
+    )
     folder = Path("data/orca")
     parser.add_argument(
         "--data", type=Path, nargs="+", default=[folder / "maps.npz", folder / "interact.npz"]
     )
-    parser.add_argument("--out", type=Path, default=None, help="folder (default runs/trace_CONFIG)")
+    parser.add_argument("--out", type=Path, default=None, help="folder (default runs/MODEL_CONFIG)")
     parser.add_argument("--steps", type=int, default=40000, help="optimiser steps (default %(default)s)")
     parser.add_argument(
         "--batch", type=int, default=400, help="windows per step and process (default %(default)s)"
@@ -85,10 +92,11 @@ class TrainingRun:
 
     def __init__(self, args: argparse.Namespace, rank: int, world: int):
         self.args, self.rank, self.world = args, rank, world
-        self.folder: Path = args.out or Path("runs") / f"trace_{args.config}"
+        self.folder: Path = args.out or Path("runs") / f"{args.model}_{args.config}"
         config = CONFIGS[args.config]
         torch.manual_seed(args.seed)
-        self.trace = Trace(config)
+        network, self.single_step, self.loss = MODELS[args.model]
+        self.trace = network(config)
         sets = [Crowds.load(path) for path in args.data]
         self.sources = [{"name": s.name, "scenes": int((s.split == 0).sum()), **s.source} for s in sets]
         self.train = [CrowdWindows(s, "train", config, mirror=True) for s in sets]
@@ -103,7 +111,7 @@ class TrainingRun:
         self.losses: list[float] = []
         if (self.folder / "state.safetensors").is_file():
             self.resume()
-        step = DenoisingStep(self.trace)
+        step = self.single_step(self.trace)
         self.model: nn.Module = nn.parallel.DistributedDataParallel(step) if world > 1 else step
 
     def rate(self) -> float:
@@ -126,7 +134,7 @@ class TrainingRun:
         with self.autocast():
             context, actions = data.batch(rows)
             context = vary_observation(context, generator)
-            loss = denoising_loss(
+            loss = self.loss(
                 self.model, self.trace, self.schedule, context, actions, generator, drop=self.args.drop
             )
         self.optimizer.zero_grad()
@@ -147,11 +155,9 @@ class TrainingRun:
                 context, actions = data.batch(
                     torch.randint(len(data), (min(windows, len(data)),), generator=generator)
                 )
-                step = DenoisingStep(self.trace)
+                step = self.single_step(self.trace)
                 losses.append(
-                    float(
-                        denoising_loss(step, self.trace, self.schedule, context, actions, generator, drop=0.0)
-                    )
+                    float(self.loss(step, self.trace, self.schedule, context, actions, generator, drop=0.0))
                 )
         return losses
 
