@@ -32,7 +32,14 @@ SETBACKS = np.arange(0.0, 1.5, 0.1)  # m
 
 
 def import_biwi(source: str | Path, scene: str, out: str | Path) -> Scene:
-    """Read one recording, write it as a scene folder and return the scene.
+    """Read one recording, write it as a scene folder and return the scene; see `read_scene`."""
+    made = read_scene(source, scene, Path(out).resolve().name)
+    save_scene(made, out)
+    return made
+
+
+def read_scene(source: str | Path, scene: str, name: str) -> Scene:
+    """Make a scene of one recording.
 
     Tracks are resampled to 10 Hz with monotone cubic interpolation (no overshoot between annotations); time 0
     is the first annotated frame.
@@ -40,7 +47,7 @@ def import_biwi(source: str | Path, scene: str, out: str | Path) -> Scene:
     Args:
         source: Folder of the recording, or the folder that holds `eth`, `hotel`, ... side by side.
         scene: eth, hotel, zara01, zara02 or students03.
-        out: Folder to write; its name becomes the scene's.
+        name: Of the scene that is made.
 
     Raises:
         SceneError: The recording is not there or not in its format.
@@ -62,8 +69,8 @@ def import_biwi(source: str | Path, scene: str, out: str | Path) -> Scene:
     origin = (round(float(low[0]), 4), round(float(low[1]), 4))
     solid = rasterize([obstacle.polygon for obstacle in obstacles], shape, RESOLUTION, origin)
     seconds = max(track[-1, 0] for track in tracks.values())
-    made = Scene(
-        name=Path(out).resolve().name,
+    return Scene(
+        name=name,
         description=f"Recorded: {scene}, {len(tracks)} pedestrians in {seconds:.0f} s.",
         resolution=RESOLUTION,
         origin=origin,
@@ -73,8 +80,6 @@ def import_biwi(source: str | Path, scene: str, out: str | Path) -> Scene:
             tuple(Track(number, track) for number, track in tracks.items()), recording.groups
         ),
     )
-    save_scene(made, out)
-    return made
 
 
 def overlap(scene: Scene, depth: float = 0.1) -> float:
