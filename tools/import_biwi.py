@@ -52,7 +52,7 @@ def read_scene(source: str | Path, scene: str, name: str) -> Scene:
     Raises:
         SceneError: The recording is not there or not in its format.
     """
-    recording = read_recording(_find(Path(source), scene))
+    recording = read_recording(find_recording(Path(source), scene))
     tracks = {number: _resample(track) for number, track in sorted(recording.tracks.items())}
     points = np.concatenate([track[:, 1:] for track in tracks.values()])
     low = np.floor((points.min(axis=0) - MARGIN) / RESOLUTION) * RESOLUTION
@@ -113,7 +113,12 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _find(source: Path, scene: str) -> Path:
+def find_recording(source: Path, scene: str) -> Path:
+    """The folder of a recording: `source` itself, or one in it.
+
+    Raises:
+        SceneError: No such recording is known, or it is not there.
+    """
     if scene not in SCENES:
         hint = near(scene, list(SCENES)) or f"; there are {', '.join(SCENES)}"
         raise SceneError(f"no recording '{scene}'{hint}")
