@@ -32,6 +32,8 @@ log = logging.getLogger(__name__)
 
 CONNECT_TIMEOUT = 20.0
 """Longest wait for declared subscribers at the start [s]."""
+RECONNECT_TIMEOUT = 5.0
+"""The same for a restarted node, which then goes on without those who are not there either [s]."""
 DIAGNOSTICS_PERIOD = 1.0
 """[s] of wall time."""
 
@@ -97,10 +99,10 @@ class Process:
             BusError: a declared subscriber does not come.
             Stopped: the launcher gave up first.
         """
-        deadline = monotonic() + CONNECT_TIMEOUT
+        deadline = monotonic() + (RECONNECT_TIMEOUT if self.restarts else CONNECT_TIMEOUT)
         while missing := self.bus.wait_connected(0.1):
             self.check_stop()
-            if self.restarts or monotonic() > deadline:
+            if monotonic() > deadline:
                 break
         if missing and not self.restarts:
             raise BusError(f"after {CONNECT_TIMEOUT:g} s still missing {'; '.join(missing)}")

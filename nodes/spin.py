@@ -207,7 +207,13 @@ class ClockOwner:
                 names = ", ".join(sorted(waiting))
                 raise BusError(f"tick {step}: {names} not done after {self.timeout:g} s of wall time")
         while not process.wait(lambda: arrived(process.bus, self._sent)):
-            pass
+            if monotonic() > deadline:
+                late = {
+                    i.source for i in process.bus.inlets if i.last_sequence < self._sent.get(i.source, -1)
+                }
+                raise BusError(
+                    f"tick {step}: messages of {', '.join(sorted(late))} have not arrived after {self.timeout:g} s"
+                )
 
     def _pace(self, anchor: float, step: int) -> float:
         """Wait for the wall time of the next tick; returns the (possibly moved) time origin."""
