@@ -65,6 +65,9 @@ def add_parser(subparsers) -> None:
     parser.add_argument(
         "--drop", type=float, default=0.1, help="probability of dropping the map or the neighbours"
     )
+    parser.add_argument(
+        "--balance", type=float, default=0.0, help="1: all noise levels count alike; 0: the paper's loss"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=None, help="of each process (default: torch decides)")
     parser.add_argument("--full-precision", action="store_true", help="no bfloat16")
@@ -134,8 +137,16 @@ class TrainingRun:
         with self.autocast():
             context, actions = data.batch(rows)
             context = vary_observation(context, generator)
+            options = {"balance": self.args.balance} if self.args.model == "trace" else {}
             loss = self.loss(
-                self.model, self.trace, self.schedule, context, actions, generator, drop=self.args.drop
+                self.model,
+                self.trace,
+                self.schedule,
+                context,
+                actions,
+                generator,
+                drop=self.args.drop,
+                **options,
             )
         self.optimizer.zero_grad()
         loss.backward()
@@ -182,6 +193,7 @@ class TrainingRun:
             "rate": args.rate,
             "batch": args.batch * self.world,
             "drop": args.drop,
+            "balance": args.balance,
             "data": self.sources,
         }
 

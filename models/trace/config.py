@@ -23,10 +23,15 @@ class TraceConfig:
             signed distance field of the scene around every trajectory point and on a coarse ego-frame
             lattice.
         interaction: Feed the field of neighbours extrapolated at constant velocity along the trajectory.
+        joint: Neighbours that are denoised together follow their own noisy trajectories in that field: what
+            is learned is the score of the scene, not of one person among people who walk straight on.
         widths: Channels of the U-Net levels; the time axis halves between levels.
         kernel: Width of the temporal convolutions.
         activation: Of the U-Net, `mish` or `silu`.
         fold: Frames per step of the finest U-Net level.
+        skip: The noisy input enters the prediction directly, weighted as if the U-Net alone could see clean
+            actions up to this error variance only (Karras et al. 2022, table 1, with sigma_data^2 = skip).
+            0 is the paper's: the U-Net predicts everything.
         history_width: Output features of the ego and neighbour encoders.
         history_hidden: Hidden layers of the ego and neighbour encoders.
         context_hidden: Hidden layers of the joint encoder.
@@ -46,10 +51,12 @@ class TraceConfig:
     map_layers: tuple[str, ...] = ("obstacle",)
     map_encoder: Literal["grid", "distance"] = "distance"
     interaction: bool = True
+    joint: bool = False
     widths: tuple[int, ...] = (64, 128)
     kernel: int = 5
     activation: Literal["mish", "silu"] = "silu"
     fold: int = 2
+    skip: float = 0.0
     history_width: int = 128
     history_hidden: tuple[int, ...] = (128, 128)
     context_hidden: tuple[int, ...] = (256,)
@@ -77,7 +84,7 @@ class TraceConfig:
         return cls(**fixed)
 
 
-COMPACT = TraceConfig()
+COMPACT = TraceConfig(joint=True, skip=0.02)
 
 PAPER = TraceConfig(
     name="paper",

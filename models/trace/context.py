@@ -20,6 +20,9 @@ class Context:
         maps: Signed distance fields of all scenes, or None.
         scene: (B,) the scene of each agent in `maps`.
         map_known: (B,) false where there is no map or it was dropped.
+        rows: (B, N) which of the B agents each neighbour is, where all are denoised together; else None.
+        neighbor_actions: (B, N, T, 2) true future actions of the neighbours in SI units, zero where they are
+            gone; known in training only.
     """
 
     ego: Tensor
@@ -29,6 +32,8 @@ class Context:
     maps: SceneMaps | None
     scene: Tensor
     map_known: Tensor
+    rows: Tensor | None = None
+    neighbor_actions: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.ego)
@@ -169,4 +174,5 @@ def scene_context(
     distance = torch.cdist(now, now).fill_diagonal_(torch.inf)
     nearest = distance.argsort(-1)[:, : min(max_neighbors, agents - 1)]  # (A, N)
     others = (states[nearest], present[nearest], size[nearest])
-    return ego_context((states, present, size), others, maps, radius=radius)
+    context = ego_context((states, present, size), others, maps, radius=radius)
+    return replace(context, rows=nearest)

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from .blocks import Mlp, StepEmbedding, TemporalUNet
 from .config import TraceConfig
 from .context import Context
+from .diffusion import CosineSchedule
 from .dynamics import rollout
 from .map_encoder import MAP_ENCODERS, MapFeatures
 
@@ -20,14 +21,16 @@ class Encoding:
     Attributes:
         condition: (B, context_width) features of the past motion and of the map as a whole.
         map: What the trajectory is queried against.
-        crowd: (B, N, T, 3) neighbours extrapolated at constant velocity, ego frame, and their presence.
+        crowd: (B, N, 6) [x y hx hy v present] of the neighbours now, ego frame.
         state: (B, 4) current state in the ego frame.
+        rows: (B, N) which of the B rows each neighbour is, where all are denoised together; else None.
     """
 
     condition: Tensor
     map: MapFeatures
     crowd: Tensor
     state: Tensor
+    rows: Tensor | None = None
 
     def repeat(self, samples: int) -> "Encoding":
         """Every row `samples` times in a row: the samples of one agent stay together."""
@@ -35,7 +38,12 @@ class Encoding:
         def many(x: Tensor) -> Tensor:
             return x.repeat_interleave(samples, 0)
 
-        return Encoding(many(self.condition), self.map.repeat(samples), many(self.crowd), many(self.state))
+        rows = self.rows
+        if rows is not None:  # sample m of everybody is one scene
+            rows = many(rows) * samples + torch.arange(samples).repeat(len(rows))[:, None]
+        return Encoding(
+            many(self.condition), self.map.repeat(samples), many(self.crowd), many(self.state), rows
+        )
 
 
 class ActionModel(nn.Module):
@@ -75,7 +83,9 @@ class ActionModel(nn.Module):
         map_features = self.map_encoder.encode(context)
         joint = [self.ego(ego.flatten(1)), self._interaction(neighbors), map_features.vector]
         condition = self.joint(torch.cat(joint, -1))
-        return Encoding(condition, map_features, self._extrapolate(context), context.initial_state())
+        crowd = context.neighbors[:, :, -1, [0, 1, 2, 3, 4, 7]]
+        rows = context.rows if self.config.joint else None
+        return Encoding(condition, map_features, crowd, context.initial_state(), rows)
 
     def unroll(self, actions: Tensor, state: Tensor) -> Tensor:
         """States and actions, in SI units and the ego frame, of normalised actions.
@@ -103,16 +113,11 @@ class ActionModel(nn.Module):
         features = features.masked_fill(~present[..., None], -torch.inf).max(1).values
         return torch.where(present.any(1, keepdim=True), features, torch.zeros((), dtype=features.dtype))
 
-    def _extrapolate(self, context: Context) -> Tensor:
-        now = context.neighbors[:, :, -1]  # (B, N, 8)
-        time = torch.arange(1, self.config.horizon + 1) * self.config.dt
-        velocity = now[..., 4:5] * now[..., 2:4]
-        path = now[..., None, :2] + velocity[..., None, :] * time[:, None]
-        return torch.cat([path, now[..., None, 7:].expand(*path.shape[:-1], 1)], -1)
-
 
 class Trace(ActionModel):
     """Predicts the clean action trajectory from a noisy one (Rempe et al. 2023, sec. 3.1 and app. A.1)."""
+
+    signal: Tensor
 
     def __init__(self, config: TraceConfig):
         super().__init__(config)
@@ -121,14 +126,20 @@ class Trace(ActionModel):
         condition = config.context_width + config.step_width
         shape = (config.widths, condition, config.kernel, config.activation, config.fold)
         self.unet = TemporalUNet(inputs, 2, *shape)
+        signal = CosineSchedule(config.diffusion_steps).alphas_cumprod
+        self.register_buffer("signal", signal, persistent=False)
 
-    def forward(self, noisy: Tensor, k: Tensor, encoding: Encoding) -> Tensor:
+    def forward(
+        self, noisy: Tensor, k: Tensor, encoding: Encoding, neighbors: Tensor | None = None
+    ) -> Tensor:
         """Clean actions predicted from noisy ones.
 
         Args:
             noisy: (B, horizon, 2) normalised actions at diffusion step k.
             k: (B,) step indices, 0 is the least noisy.
             encoding: B rows.
+            neighbors: (B, N, horizon, 2) the neighbours' actions at step k. By default those of the rows the
+                encoding names; without any, neighbours keep their velocity.
 
         Returns:
             (B, horizon, 2) normalised clean actions.
@@ -138,13 +149,33 @@ class Trace(ActionModel):
             positions = trajectory[..., :2].detach()
             queries = [self.map_encoder.query(encoding.map, positions)]
             if self.config.interaction:
-                queries.append(crowd_field(positions, encoding.crowd))
+                crowd = self._crowd_paths(positions, encoding, neighbors)
+                queries.append(crowd_field(positions, crowd))
         normal = (trajectory - self.trajectory_mean) / self.trajectory_std
         if encoding.map.grid is not None:  # a learned grid is trained through its queries
             queries[0] = self.map_encoder.query(encoding.map, positions)
         condition = torch.cat([encoding.condition, self.step(k)], -1)
         kind = next(self.unet.parameters()).dtype
-        return self.unet(torch.cat([normal, *queries], -1).to(kind), condition.to(kind)).to(noisy.dtype)
+        out = self.unet(torch.cat([normal, *queries], -1).to(kind), condition.to(kind)).to(noisy.dtype)
+        a, skip = self.signal[k][:, None, None], self.config.skip
+        return (skip * a.sqrt() * noisy + (1 - a) * out) / (skip * a + 1 - a)
+
+    def _crowd_paths(self, positions: Tensor, encoding: Encoding, actions: Tensor | None) -> Tensor:
+        """(B, N, T, 3) where the neighbours walk, in the ego frame, and their presence."""
+        now = encoding.crowd
+        speed, present = now[..., 4], now[..., 5]
+        if actions is not None:
+            start = torch.nn.functional.pad(speed[..., None], (3, 0))
+            path = self.unroll(actions, start)[..., :2]  # each in a frame of its own
+        elif encoding.rows is not None:
+            path = positions[encoding.rows]
+        else:
+            time = torch.arange(1, positions.shape[1] + 1) * self.config.dt
+            path = torch.stack([speed[..., None] * time, torch.zeros_like(time).expand(*speed.shape, -1)], -1)
+        cos, sin = now[..., 2, None], now[..., 3, None]
+        x = now[..., 0, None] + cos * path[..., 0] - sin * path[..., 1]
+        y = now[..., 1, None] + sin * path[..., 0] + cos * path[..., 1]
+        return torch.stack([x, y, present[..., None].expand_as(x)], -1)
 
     def reduced(self) -> "Trace":
         """A copy whose U-Net computes in bfloat16, for inference; everything else stays as it is."""

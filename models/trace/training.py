@@ -20,6 +20,7 @@ def denoising_loss(
     actions: Tensor,
     generator: torch.Generator,
     drop: float = 0.1,
+    balance: float = 0.0,
 ) -> Tensor:
     """Mean squared error of the predicted clean states and actions, normalised (TRACE eq 3, app. A.1.1).
 
@@ -31,6 +32,8 @@ def denoising_loss(
         actions: (B, horizon, 2) true actions, SI units.
         generator: Draws steps, noise and drop-outs.
         drop: Probability with which the map, and independently the neighbours, are dropped.
+        balance: Errors at step k weigh (signal / noise)^balance, within 0.3 to 10. 0 is the paper's, which
+            lets the noisiest steps rule; with 1 all steps weigh about alike.
     """
     count = len(actions)
     lost = torch.rand(2, count, generator=generator) < drop
@@ -38,10 +41,16 @@ def denoising_loss(
     clean = (actions - trace.trajectory_mean[4:]) / trace.trajectory_std[4:]
     k = torch.randint(len(schedule), (count,), generator=generator)
     noise = torch.randn(clean.shape, generator=generator)
-    predicted = model(schedule.add_noise(clean, noise, k), k, context)
     state = context.initial_state()
+    neighbors = None
+    if trace.config.joint and context.neighbor_actions is not None:
+        theirs = (context.neighbor_actions - trace.trajectory_mean[4:]) / trace.trajectory_std[4:]
+        neighbors = schedule.add_noise(theirs, torch.randn(theirs.shape, generator=generator), k)
+    predicted = model(schedule.add_noise(clean, noise, k), k, context, neighbors)
     error = (trace.unroll(predicted.float(), state) - trace.unroll(clean, state)) / trace.trajectory_std
-    return error.square().mean()
+    a = schedule.alphas_cumprod[k]
+    weight = ((a / (1 - a)) ** (balance / 2)).clamp(0.3, 10.0) if balance else torch.ones(())
+    return (weight * error.square().mean((1, 2))).mean()
 
 
 def vary_observation(context: Context, generator: torch.Generator, late: float = 0.3) -> Context:
@@ -72,9 +81,9 @@ class DenoisingStep(nn.Module):
         super().__init__()
         self.trace = trace
 
-    def forward(self, noisy: Tensor, k: Tensor, context: Context) -> Tensor:
+    def forward(self, noisy: Tensor, k: Tensor, context: Context, neighbors: Tensor | None = None) -> Tensor:
         """Predicted clean actions, see `Trace.forward`."""
-        return self.trace(noisy, k, self.trace.encode(context))
+        return self.trace(noisy, k, self.trace.encode(context), neighbors)
 
 
 @torch.no_grad()

@@ -1,6 +1,6 @@
 """Training samples: windows of past and future motion cut from crowds, gathered for a whole batch at once."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -116,6 +116,8 @@ class CrowdWindows:
         neighbors = self._people(s, others[..., None], p)
         unique, local = scene.unique(return_inverse=True)
         context = ego_context(ego, neighbors, self.maps(unique), local, radius=self.config.neighbor_radius)
+        theirs = self.actions[s, others[..., None], future[:, None]]
+        context = replace(context, neighbor_actions=theirs)
         return context, self.actions[scene[:, None], agent[:, None], future]
 
     def maps(self, scenes: Tensor) -> SceneMaps | None:
