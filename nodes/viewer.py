@@ -22,7 +22,8 @@ from .process import Process, run_process
 from .viewer_clicks import Clicks
 from .viewer_panels import Panels
 from .viewer_picture import Picture
-from .viewer_scene import Scene, look_at_place
+from .viewer_place import look_at_place
+from .viewer_scene import Scene
 from .viewer_server import Window
 from .viewer_steering import SteeringPanel
 

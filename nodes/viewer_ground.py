@@ -1,42 +1,24 @@
 """Ground and obstacles of a map as textured meshes."""
 
+from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..messages.map import Obstacle, SemanticMap
+from ..models.render.ground_paint import paint as paint_layers
 
 if TYPE_CHECKING:
     import trimesh
 
-BARE = "#8d8a85"
-LAYER_COLOURS = {
-    "walkable": "#cfccc4",
-    "road": "#8e9298",
-    "pavement": "#c8c2b3",
-    "green": "#a3bf8d",
-    "stairs": "#bda98c",
-    "crosswalk": "#e4e4e0",
-    "marking": "#d8d2a8",
-}
-"""Ground colours, painted in this order."""
-OBSTACLE_COLOUR = (150, 148, 160)
 PIXELS = 2048
-"""Longest side of the ground's picture."""
+"""Longest side of the ground's picture, about."""
 
 
-def paint(place: SemanticMap) -> np.ndarray:
-    """The layers of a map as a picture (H, W, 3) uint8; the first row has the lowest y."""
-    image = np.full((*place.raster.shape[1:], 3), _rgb(BARE), np.uint8)
+def paint(place: SemanticMap, times: int = 4, grain: bool = True) -> np.ndarray:
+    """The layers of a map as a picture (times H, times W, 3) uint8; the first row has the lowest y."""
     layers = dict(zip(place.layers, place.raster, strict=True))
-    for name, colour in LAYER_COLOURS.items():
-        if name in layers:
-            image[layers[name] > 0] = _rgb(colour)
-    return image
-
-
-def _rgb(colour: str) -> list[int]:
-    return [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+    return paint_layers(layers, place.resolution, times, grain)
 
 
 def ground_mesh(place: SemanticMap) -> "trimesh.Trimesh":
@@ -46,15 +28,15 @@ def ground_mesh(place: SemanticMap) -> "trimesh.Trimesh":
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
-    picture = paint(place)
-    rows, columns = picture.shape[:2]
+    rows, columns = place.raster.shape[1:]
     extent = place.resolution * np.array([columns, rows])
-    times = int(np.clip(PIXELS // max(rows, columns), 1, 4))  # sharp edges of cells
-    picture = picture.repeat(times, 0).repeat(times, 1)[::-1]
+    times = int(np.clip(PIXELS // max(rows, columns), 1, 8))
+    file = BytesIO()
+    Image.fromarray(paint(place, times)[::-1]).save(file, "JPEG", quality=85)  # a tenth of a PNG's bytes
     vertices, faces = _sheet(place, extent)
     uv = (vertices[:, :2] - place.origin) / extent
     material = PBRMaterial(
-        baseColorTexture=Image.fromarray(np.ascontiguousarray(picture)),
+        baseColorTexture=Image.open(file),
         metallicFactor=0.0,
         roughnessFactor=1.0,
     )

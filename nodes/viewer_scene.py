@@ -16,9 +16,11 @@ from ..messages.topics import (
     OBJECTIVES,
     PLANS,
 )
-from .viewer_ground import OBSTACLE_COLOUR, ground_mesh, obstacles_mesh
+from .viewer_light import in_linear_light
 from .viewer_people import Part, colours_of, dressed
 from .viewer_picture import Picture
+from .viewer_place import PlaceDrawing
+from .viewer_shapes import KNOB, PIN, RING, SPOT, Mesh
 
 if TYPE_CHECKING:
     import viser
@@ -27,10 +29,8 @@ FAINT = 0.72
 """How far the colour of a sample that was not chosen is mixed with white."""
 SAMPLE_STRIDE = 5
 """Every so many points of a sample that was not chosen are drawn."""
-TALL = 3.5
-"""Obstacles higher than this are see-through, so that nobody hides behind them [m]."""
-GLASS = 0.3
-"""Their opacity."""
+SHADE, SHADE_RADIUS = 0.22, 0.24
+"""Opacity and radius [m] of the dark spot under somebody."""
 DEFAULT_RADIUS = 0.3
 """Radius of a disk where no bodies were told [m]."""
 
@@ -76,7 +76,6 @@ class Scene:
         self._server = server
         self._root = root
         self._tint = tint
-        self._ground = ground
         self._offset = np.array([*offset, 0.0])
         self._parts: list[tuple[Part, Any]] = []
         self._row_of: dict[int, int] = {}
@@ -85,17 +84,19 @@ class Scene:
         self._handles: dict[str, Any] = {}
         self._labels: dict[str, Any] = {}
         self._frame = server.scene.add_frame(root, show_axes=False, position=self._offset)
+        self._place = PlaceDrawing(server, root) if ground else None
 
     def draw(self, picture: Picture, everything: bool = False) -> None:
         """Bring the scene up to date with a picture, whose changes are then forgotten."""
         changed = picture.changed
         with self._server.atomic():
-            if MAP.name in changed or everything:
-                self._draw_place(picture)
+            if (MAP.name in changed or everything) and self._place is not None:
+                self._place.draw(picture, self.shown.obstacles, self.shown.buildings)
             if BODIES.name in changed:
                 self._dress(picture)
             if everything or {BODY_STATES.name, AGENTS.name} & changed:
                 self._draw_people(picture)
+                self._draw_shades(picture)
                 self._draw_disks(picture)
                 self._draw_groups(picture)
                 self._draw_labels(picture)
@@ -114,32 +115,6 @@ class Scene:
     def remove(self) -> None:
         """Take everything away."""
         self._frame.remove()
-
-    # -- the place
-
-    def _draw_place(self, picture: Picture) -> None:
-        place, scene = picture.place, self._server.scene
-        if place is None or not self._ground:
-            return
-        scene.add_mesh_trimesh(f"{self._root}/ground", ground_mesh(place), cast_shadow=False)
-        low = [o for o in place.obstacles if o.height <= TALL]
-        tall = [o for o in place.obstacles if o.height > TALL]
-        for name, obstacles, opacity in (("obstacles", low, None), ("buildings", tall, GLASS)):
-            self._drop(name)
-            if not obstacles or not getattr(self.shown, name):
-                continue
-            corners = [np.asarray(o.polygon, dtype=np.float64).mean(axis=0) for o in obstacles]
-            heights = [float(picture.height_at(corner)) for corner in corners]
-            vertices, faces = obstacles_mesh(obstacles, heights)
-            self._handles[name] = scene.add_mesh_simple(
-                f"{self._root}/{name}",
-                vertices.astype(np.float32),
-                faces.astype(np.uint32),
-                color=OBSTACLE_COLOUR,
-                opacity=opacity,
-                flat_shading=True,
-                cast_shadow=opacity is None,
-            )
 
     # -- people
 
@@ -162,7 +137,7 @@ class Scene:
                 np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
                 np.zeros((count, 3), np.float32),
                 batched_scales=np.full((count, 3), 1e-6, np.float32),
-                batched_colors=part.colours,
+                batched_colors=in_linear_light(part.colours),
                 receive_shadow=False,
             )
             self._parts.append((part, handle))
@@ -197,9 +172,19 @@ class Scene:
         colours = self._colours(np.array(ids))
         if self.selected in ids:
             colours[ids.index(self.selected)] = (20, 20, 20)
-        positions = picture.on_ground(xy, 0.02).astype(np.float32)
+        positions = picture.on_ground(xy, 0.03).astype(np.float32)
         scales = np.column_stack([radii, radii, np.ones(len(ids))]).astype(np.float32)
-        self._batch("disks", _RING, positions, scales, colours)
+        self._batch("disks", RING, positions, scales, colours)
+
+    def _draw_shades(self, picture: Picture) -> None:
+        """A dark spot under everybody: the sun's shadows end some way from the camera."""
+        ids, xy = picture.places()
+        if not self.shown.people or not ids:
+            self._drop("shades")
+            return
+        positions = picture.on_ground(xy, 0.015).astype(np.float32)
+        scales = np.full((len(ids), 3), SHADE_RADIUS, np.float32)
+        self._batch("shades", SPOT, positions, scales, np.zeros((len(ids), 3), np.uint8), SHADE)
 
     def _draw_groups(self, picture: Picture) -> None:
         ids, xy = picture.places()
@@ -248,7 +233,7 @@ class Scene:
         segments = np.stack([past[:, :-1, :2], past[:, 1:, :2]], axis=2)  # (N, T, 2, 2)
         there = (past[:, :-1, 6] > 0) & (past[:, 1:, 6] > 0)
         colours = self._colours(agents.ids)[:, None].repeat(segments.shape[1], axis=1)
-        self._lines("tracks", picture.on_ground(segments[there], 0.03), colours[there], 3.0)
+        self._lines("tracks", picture.on_ground(segments[there], 0.03), colours[there] // 2, 2.0)
 
     def _draw_plans(self, picture: Picture) -> None:
         plans = picture.plans
@@ -261,7 +246,7 @@ class Scene:
         chosen = plans.positions[rows, plans.chosen[rows]][:, first:].astype(np.float64)  # (N, T, 2)
         start = np.array([here[agent] for agent in plans.ids[rows].tolist()]).reshape(-1, 1, 2)
         way = np.concatenate([start, chosen], axis=1)
-        self._lines("plans", *self._ways(picture, way, plans.ids[rows], 0.06), 5.0)
+        self._lines("plans", *self._ways(picture, way, plans.ids[rows], 0.06), 4.0)
 
     def _draw_samples(self, picture: Picture) -> None:
         plans = picture.plans
@@ -295,7 +280,7 @@ class Scene:
         xy = np.array([goal for _, goal in goals])
         colours = self._colours(np.array([agent for agent, _ in goals]))
         positions = picture.on_ground(xy, 0.0).astype(np.float32)
-        self._batch("waypoints", _PIN, positions, np.ones((len(goals), 3), np.float32), colours)
+        self._batch("waypoints", PIN, positions, np.ones((len(goals), 3), np.float32), colours)
 
     def _draw_contacts(self, picture: Picture) -> None:
         contacts = picture.contacts
@@ -306,7 +291,7 @@ class Scene:
         colours = np.tile(np.array([226, 30, 40], np.uint8), (count, 1))
         sizes = 1.0 + np.minimum(contacts.forces / 500.0, 2.0)
         scales = sizes[:, None].repeat(3, axis=1).astype(np.float32)
-        self._batch("contacts", _KNOB, contacts.positions.astype(np.float32), scales, colours)
+        self._batch("contacts", KNOB, contacts.positions.astype(np.float32), scales, colours)
 
     # -- viser
 
@@ -319,7 +304,7 @@ class Scene:
             self._drop(name)
             return
         points = points.astype(np.float32)
-        both = colours[:, None].repeat(2, axis=1)
+        both = in_linear_light(colours)[:, None].repeat(2, axis=1)
         handle = self._handles.get(name)
         if handle is not None and len(handle.points) == len(points):
             handle.points = points
@@ -332,12 +317,14 @@ class Scene:
     def _batch(
         self,
         name: str,
-        mesh: tuple[np.ndarray, np.ndarray],
+        mesh: Mesh,
         positions: np.ndarray,
         scales: np.ndarray,
         colours: np.ndarray,
+        opacity: float | None = None,
     ) -> None:
         """Copies of a small mesh at positions (K, 3) [m]."""
+        colours = in_linear_light(colours)
         handle = self._handles.get(name)
         if handle is not None and len(handle.batched_positions) == len(positions):
             handle.batched_positions = positions
@@ -351,6 +338,7 @@ class Scene:
             positions,
             batched_scales=scales,
             batched_colors=colours,
+            opacity=opacity,
             lod="off",
             cast_shadow=False,
             receive_shadow=False,
@@ -360,49 +348,3 @@ class Scene:
     def _drop(self, name: str) -> None:
         if name in self._handles:
             self._handles.pop(name).remove()
-
-
-def look_at_place(server: "viser.ViserServer", picture: Picture) -> None:
-    """Put new visitors at a corner of the place, looking down on where people are."""
-    _, xy = picture.places()
-    if picture.place is not None:
-        rows, columns = picture.place.raster.shape[1:]
-        size = picture.place.resolution * np.array([columns, rows])
-        centre = np.array(picture.place.origin) + 0.5 * size
-    else:
-        centre = xy.mean(axis=0) if len(xy) else np.zeros(2)
-        size = np.array([20.0, 20.0])
-    reach = 0.55 * float(max(size))
-    target = np.array([*centre, 0.0])
-    server.initial_camera.look_at = target
-    server.initial_camera.position = target + reach * np.array([0.25, -0.75, 0.95])
-
-
-def _ring(inner: float = 0.86, around: int = 28) -> tuple[np.ndarray, np.ndarray]:
-    """A flat ring of outer radius 1."""
-    angle = np.linspace(0, 2 * np.pi, around, endpoint=False)
-    circle = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-    here, after = np.arange(around), (np.arange(around) + 1) % around
-    faces = np.concatenate(
-        [
-            np.stack([here, after, around + after], axis=1),
-            np.stack([here, around + after, around + here], axis=1),
-        ]
-    )
-    return np.concatenate([circle, circle * inner]).astype(np.float32), faces.astype(np.uint32)
-
-
-def _double_cone(radius: float, low: float, middle: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-    """Eight-sided: a point below, a belt, a point above [m]."""
-    angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    belt = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(8, middle)])
-    here, after = np.arange(8), (np.arange(8) + 1) % 8
-    bottom, top = np.full(8, 8), np.full(8, 9)
-    faces = np.concatenate([np.stack([after, here, bottom], axis=1), np.stack([here, after, top], axis=1)])
-    vertices = np.concatenate([belt, [[0, 0, low], [0, 0, high]]])
-    return vertices.astype(np.float32), faces.astype(np.uint32)
-
-
-_RING = _ring()
-_PIN = _double_cone(0.14, 0.0, 0.6, 0.75)
-_KNOB = _double_cone(0.07, -0.07, 0.0, 0.07)

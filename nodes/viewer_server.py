@@ -6,6 +6,7 @@ import logging
 
 from ..messages.config import ConfigError
 from .viewer_gate import Gate
+from .viewer_light import light
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
@@ -41,6 +42,7 @@ class Window:
         self.server.gui.configure_theme(
             show_logo=False, show_share_button=False, control_width="large", brand_color=(38, 92, 140)
         )
+        light(self.server)
 
     @property
     def url(self) -> str:

@@ -126,7 +126,7 @@ class LogViewer:
     def __init__(self, server: "viser.ViserServer", runs: Sequence, beside: bool = False) -> None:
         from ..nodes.viewer_clicks import Clicks
         from ..nodes.viewer_panels import Panels
-        from ..nodes.viewer_scene import look_at_place
+        from ..nodes.viewer_place import look_at_place
 
         self.runs = runs
         self.start = min(run.start for run in runs)

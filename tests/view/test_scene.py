@@ -4,10 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from footfall.messages.map import Obstacle
 from footfall.messages.steering import DropObstacle, Push, SetWaypoint
 from footfall.messages.topics import PLANS
 from footfall.nodes.viewer_clicks import Clicks
+from footfall.nodes.viewer_light import in_linear_light
 from footfall.nodes.viewer_panels import Panels
 from footfall.nodes.viewer_people import colour_of
 from footfall.nodes.viewer_picture import Picture
@@ -53,7 +56,29 @@ def test_people_stand_where_their_bodies_are(server, run_log):
     assert len(drawn(server, "/run/waypoints").batched_positions) == 3
     assert len(drawn(server, "/run/groups").points) == 1
     assert drawn(server, "/run/labels/fall4").text == "#4 has fallen"
-    assert drawn(server, "/run/obstacles") is not None and drawn(server, "/run/buildings").opacity < 1
+    crate, tower = drawn(server, "/run/obstacles/0"), drawn(server, "/run/buildings/0")
+    assert crate.opacity is None and crate.vertices[:, 2].max() == 1.0
+    assert tower is None  # high, but nobody can hide behind one metre
+
+
+def test_houses_are_see_through_and_a_new_obstacle_paints_no_new_ground(server, yard):
+    scene, picture, place = Scene(server), Picture(), yard()
+    house = Obstacle("house", np.array([[-4.0, -4.0], [-1.0, -4.0], [-1.0, -1.0]]), 6.0)
+    picture.take("map", place, 0)
+    scene.draw(picture)
+    ground = drawn(server, "/run/ground")
+    picture.take("map", replace(place, obstacles=[*place.obstacles, house]), 1)
+    scene.draw(picture)
+    assert drawn(server, "/run/ground") is ground
+    assert drawn(server, "/run/buildings/0").opacity < 1
+    scene.shown.buildings = False
+    scene.draw(picture, everything=True)
+    assert drawn(server, "/run/buildings/0") is None and drawn(server, "/run/obstacles/0") is not None
+    raster = place.raster.copy()
+    raster[1, :5] = 1
+    picture.take("map", replace(place, raster=raster), 2)
+    scene.draw(picture)
+    assert drawn(server, "/run/ground") is not ground
 
 
 def test_what_is_switched_off_or_over_goes_away(server, run_log):
@@ -93,7 +118,7 @@ def test_two_runs_are_told_apart_by_colour_or_place(server, run_log):
     viewer.time_line.seek(2.0)
     viewer.refresh()
     assert drawn(server, "/second").position == pytest.approx([14.0, 0.0, 0.0])
-    assert (drawn(server, "/second/tracks").colors[0, 0] == colour_of(0)).all()
+    assert (drawn(server, "/second/tracks").colors[0, 0] == in_linear_light(colour_of(0) // 2)).all()
 
 
 def test_clicks_select_or_steer(server, messages):

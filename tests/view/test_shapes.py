@@ -9,7 +9,10 @@ from footfall.messages.map import Obstacle
 from footfall.messages.topics import BODIES
 from footfall.models.body import describe
 from footfall.models.render.convex_hull import convex_hull
+from footfall.models.render.ground_paint import LAYER_COLOURS
+from footfall.models.render.ground_paint import paint as paint_layers
 from footfall.models.render.looks import dress
+from footfall.models.render.street import PLAIN, colour_of_obstacle, crown
 from footfall.nodes.viewer_ground import ground_mesh, obstacles_mesh, paint, triangulate
 from footfall.nodes.viewer_people import dressed
 from footfall.nodes.viewer_picture import heights_at
@@ -65,8 +68,10 @@ def test_the_ground_has_the_map_s_heights_and_colours(yard):
         if place.terrain is not None:
             points = np.asarray(mesh.vertices)
             assert points[:, 2] == pytest.approx(heights_at(place.terrain, points[:, :2]), abs=1e-6)
-        picture = paint(place)
-        assert (picture[:, 25] != picture[:, 0]).any() and (picture[:, 0] == picture[0, 0]).all()
+        picture = paint(place, 3, grain=False)
+        assert picture.shape == (150, 150, 3)
+        assert (picture[:, 75] == LAYER_COLOURS["road"]).all()
+        assert (picture[:, :50] == LAYER_COLOURS["walkable"]).all()
 
 
 @pytest.mark.parametrize(
@@ -93,3 +98,42 @@ def test_roofs_cover_their_outline(outline):
     assert (normals[roof, 2] > 0).all() and roof.sum() == len(outline) - 2
     walls = (a + b + c)[~roof] / 3 + 1e-3 * normals[~roof] / np.linalg.norm(normals[~roof], axis=1)[:, None]
     assert not shapely.contains_xy(shapely.Polygon(outline), walls[:, 0], walls[:, 1]).any()  # face outwards
+
+
+def test_painted_edges_are_smooth_and_stay_where_they_were():
+    y, x = np.mgrid[:40, :40] + 0.5
+    disk = np.hypot(x - 20, y - 20) < 12
+    picture = paint_layers({"walkable": np.ones((40, 40)), "road": disk}, 0.1, 6, grain=False)
+    fine_y, fine_x = (np.mgrid[:240, :240] + 0.5) / 6
+    low, high = (np.array(LAYER_COLOURS[name], float).sum() for name in ("road", "walkable"))
+    cover = (high - picture.sum(axis=2)) / (high - low)
+    away = np.hypot(fine_x - 20, fine_y - 20)
+    assert cover.sum() / 36 == pytest.approx(np.pi * 12**2, rel=0.02)
+    assert cover[away < 11.2].min() > 0.99 and cover[away > 12.8].max() < 0.01
+    nearest = disk.repeat(6, 0).repeat(6, 1)
+    true = np.clip((12 - away) * 6 + 0.5, 0, 1)
+    assert np.abs(cover - true).mean() < 0.6 * np.abs(nearest - true).mean()  # than the cells' steps
+
+
+def test_grain_keeps_the_mean_colour_and_unknown_layers_are_refused():
+    layers = {"road": np.ones((60, 60))}
+    picture = paint_layers(layers, 0.1, 4)
+    assert picture.reshape(-1, 3).mean(axis=0) == pytest.approx(LAYER_COLOURS["road"], abs=4)
+    assert picture.std() > 1
+    with pytest.raises(ValueError, match="no layer to paint"):
+        paint_layers({"lava": np.ones((3, 3))}, 0.1)
+
+
+def test_obstacles_look_like_what_they_are_called():
+    assert colour_of_obstacle("thing 7") == PLAIN
+    assert colour_of_obstacle("bus shelter") != colour_of_obstacle("bus")
+    assert colour_of_obstacle("parked car", 0) != colour_of_obstacle("parked car", 1)
+    assert colour_of_obstacle("Hedge") == colour_of_obstacle("low hedge")
+    outline = np.array([[2.0, 3.0], [3.0, 3.0], [3.0, 4.0], [2.0, 4.0]])
+    assert crown("street", outline, 4.0) is None
+    found = crown("tree", outline, 4.0)
+    assert found is not None
+    points, _ = found
+    assert points[:, :2].mean(axis=0) == pytest.approx([2.5, 3.5], abs=0.15)
+    assert points[:, 2].min() > 1.9 and points[:, 2].max() > 4.0
+    assert volume(points, convex_hull(points)) > 5.0
