@@ -55,6 +55,8 @@ class Inlet:
     codec: Codec
     keep_all: bool
     """Transport keeps everything (reliable edges); `take` then applies `latest` and `queue`."""
+    trusting: bool = False
+    """Believe a sender who says that its arrays are free of NaN."""
     pending: deque[tuple[Header, Buffer, Sequence[Buffer]]] = field(default_factory=deque)
     received: int = 0
     dropped: int = 0
@@ -64,34 +66,36 @@ class Inlet:
     last_sent_ns: int | None = None
     faults: list[MessageError] = field(default_factory=list)
     """Rejections since they were last collected; at most a few are kept."""
+    source: str = field(init=False)
+    """`topic@publisher`."""
+    limit: int | None = field(init=False)
+    """How many messages the policy lets a step see; None for all."""
+    bounded: bool = field(init=False)
+    """Whether a full inlet stops reading so that the publisher feels the back-pressure.
+
+    Never in lockstep, where the tick bounds what can come and the clock waits for all of it.
+    """
     _newest: int = -1
     """Sequence number that really came last."""
     _noted: bytes = b""
     """Schema of the sender that was last reported as not quite ours."""
 
-    @property
-    def source(self) -> str:
-        """`topic@publisher`."""
-        return f"{self.edge.topic}@{self.edge.publisher}"
-
-    @property
-    def limit(self) -> int | None:
-        """How many messages the policy lets a step see; None for all."""
-        return {"latest": 1, "queue": self.edge.input.depth, "reliable": None}[self.edge.input.policy]
+    def __post_init__(self) -> None:
+        edge = self.edge
+        self.source = f"{edge.topic}@{edge.publisher}"
+        self.limit = {"latest": 1, "queue": edge.input.depth, "reliable": None}[edge.input.policy]
+        self.bounded = edge.input.policy == "reliable" and not edge.in_step
 
     @property
     def full(self) -> bool:
-        """Whether reading must stop so that the publisher feels the back-pressure.
-
-        Never in lockstep, where the tick bounds what can come and the clock waits for all of it.
-        """
-        edge = self.edge
-        return edge.input.policy == "reliable" and not edge.in_step and len(self.pending) >= edge.input.depth
+        """Whether reading must stop."""
+        return self.bounded and len(self.pending) >= self.edge.input.depth
 
     def put(self, parts: Sequence[Buffer]) -> None:
         """Take one message off the wire."""
+        head = parts[0]
         try:
-            header = Header.unpack(self.edge.topic, parts[0])
+            header = Header.unpack(self.edge.topic, head)
             self._count(header)
             if header.schema != self.codec.schema:
                 self._check_schema(header.schema)
@@ -103,10 +107,11 @@ class Inlet:
             self.reject(error)
             return
         self.received += 1
-        if not self.keep_all and (limit := self.limit) is not None and len(self.pending) >= limit:
-            self.pending.popleft()
+        pending = self.pending
+        if pending and not self.keep_all and self.limit is not None and len(pending) >= self.limit:
+            pending.popleft()
             self.skipped += 1
-        self.pending.append((header, memoryview(parts[0])[Header.SIZE :], parts[1:]))
+        pending.append((header, memoryview(head)[Header.SIZE :], parts[1:]))
 
     def _count(self, header: Header) -> None:
         """Notice gaps; a restarted publisher begins anew.
@@ -114,15 +119,16 @@ class Inlet:
         Raises:
             MessageError: the message has come before.
         """
-        newest = self._newest
-        if header.sequence <= newest:
+        newest, sequence = self._newest, header.sequence
+        if sequence <= newest:
             raise MessageError(
-                self.edge.topic, "header.sequence", f"{header.sequence} came after {newest}; it is left aside"
+                self.edge.topic, "header.sequence", f"{sequence} came after {newest}; it is left aside"
             )
-        if newest >= 0 and header.sequence >> LIFE_BITS == newest >> LIFE_BITS:
-            self.dropped += header.sequence - newest - 1
-        self._newest = header.sequence
-        self.last_sequence = max(self.last_sequence, header.sequence)
+        if sequence > newest + 1 and newest >= 0 and sequence >> LIFE_BITS == newest >> LIFE_BITS:
+            self.dropped += sequence - newest - 1
+        self._newest = sequence
+        if sequence > self.last_sequence:
+            self.last_sequence = sequence
         self.last_sent_ns = header.sent_ns
 
     def _check_schema(self, theirs: bytes) -> None:
@@ -155,14 +161,15 @@ class Inlet:
         ready = []
         while pending and (last is None or pending[0][0].sequence <= last):
             ready.append(pending.popleft())
-        if (limit := self.limit) is not None and len(ready) > limit:
-            self.skipped += len(ready) - limit
-            ready = ready[-limit:]
+        if self.limit is not None and len(ready) > self.limit:
+            self.skipped += len(ready) - self.limit
+            ready = ready[-self.limit :]
         taken = []
         for header, body, frames in ready:
             schema = None if header.schema == self.codec.schema else header.schema
+            finite = header.checked and self.trusting
             try:
-                message = self.codec.decode(body, frames, schema=schema)
+                message = self.codec.decode(body, frames, schema=schema, finite=finite)
             except MessageError as error:
                 self.reject(error)
                 continue

@@ -16,8 +16,10 @@ from .schema import Field, fields_of, schema_hash
 M = TypeVar("M", bound=msgspec.Struct)
 Buffer = bytes | bytearray | memoryview
 
-INLINE_BYTES = 4096
-"""Arrays up to this size travel inside the msgpack body; larger ones in a frame of their own."""
+INLINE_BYTES = 1 << 16
+"""Arrays up to this size travel inside the msgpack body; larger ones in a frame of their own.
+
+Below it, copying is cheaper than one more frame, and the arrays of small frames lie unaligned."""
 
 MAX_FRAMES = 255
 """Array frames of one message; the header has one byte to count them."""
@@ -27,6 +29,9 @@ MAX_AXES = 8
 _HEADER = struct.Struct("<2sBBQqq8s")
 _MAGIC = b"FF"
 WIRE_VERSION = 1
+_CHECKED = 0x80
+"""Bit of the version byte: the sender has looked for NaN."""
+_OURS = WIRE_VERSION | _CHECKED
 
 
 class MessageError(ValueError):
@@ -58,13 +63,16 @@ class Header(msgspec.Struct, frozen=True):
     """Schema hash of the message type (8 bytes)."""
     frames: int
     """Number of array frames that follow the body."""
+    checked: bool = False
+    """Whether the sender has looked through the arrays for NaN and infinity."""
 
     SIZE: ClassVar[int] = _HEADER.size
 
     def pack(self) -> bytes:
         """The header's bytes: magic, version, frames, sequence, stamps, schema; little endian."""
+        version = _OURS if self.checked else WIRE_VERSION
         return _HEADER.pack(
-            _MAGIC, WIRE_VERSION, self.frames, self.sequence, self.stamp_ns, self.sent_ns, self.schema
+            _MAGIC, version, self.frames, self.sequence, self.stamp_ns, self.sent_ns, self.schema
         )
 
     @staticmethod
@@ -84,11 +92,13 @@ class Header(msgspec.Struct, frozen=True):
         magic, version, frames, sequence, stamp_ns, sent_ns, schema = _HEADER.unpack_from(data)
         if magic != _MAGIC:
             raise MessageError(topic, "header", f"starts with {bytes(magic)!r}, must start with {_MAGIC!r}")
-        if version != WIRE_VERSION:
+        checked = version >= _CHECKED
+        if version != (_OURS if checked else WIRE_VERSION):
+            version &= ~_CHECKED
             raise MessageError(topic, "header", f"wire version {version}, this side speaks {WIRE_VERSION}")
         if stamp_ns < 0:
             raise MessageError(topic, "header.stamp_ns", f"is {stamp_ns}, must not be negative")
-        return cls(sequence, stamp_ns, sent_ns, schema, frames)
+        return cls(sequence, stamp_ns, sent_ns, schema, frames, checked)
 
 
 class Codec(Generic[M]):
@@ -107,6 +117,8 @@ class Codec(Generic[M]):
         self._received: Sequence[Buffer] = ()
         self._used: set[int] = set()
         self._inline_limit = INLINE_BYTES
+        self._buffer = bytearray()
+        self._arrays = _arrays_alone(message_type)
         self._encoder = msgspec.msgpack.Encoder(enc_hook=self._encode_array)
         self._decoder = msgspec.msgpack.Decoder(message_type, dec_hook=self._decode_array)
 
@@ -116,13 +128,29 @@ class Codec(Generic[M]):
         Raises:
             MessageError: a field does not match its specification.
         """
+        body, frames = self.pack(message, 0, 0, 0)
+        return bytes(body[Header.SIZE :]), frames
+
+    def pack(
+        self, message: M, sequence: int, stamp_ns: int, sent_ns: int
+    ) -> tuple[bytearray, list[np.ndarray]]:
+        """Header and body, in a buffer that the next call writes over, and the array frames.
+
+        Raises:
+            MessageError: a field does not match its specification.
+        """
         self._check(message)
         self._frames = frames = []
-        body = self._encode(message)
-        self._frames = []
-        if len(frames) > MAX_FRAMES:
-            raise MessageError(self.topic, "frames", f"{len(frames)} large arrays, at most {MAX_FRAMES} fit")
-        return body, frames
+        buffer = self._buffer
+        try:
+            self._encoder.encode_into(message, buffer, Header.SIZE)
+        except (TypeError, ValueError, OverflowError, RecursionError) as error:
+            raise MessageError(self.topic, "", str(error)) from None
+        count = len(frames)
+        if count > MAX_FRAMES:
+            raise MessageError(self.topic, "frames", f"{count} large arrays, at most {MAX_FRAMES} fit")
+        _HEADER.pack_into(buffer, 0, _MAGIC, _OURS, count, sequence, stamp_ns, sent_ns, self.schema)
+        return buffer, frames
 
     def encode_inline(self, message: M) -> bytes:
         """One self-contained msgpack record with every array inside, as logs store it.
@@ -133,11 +161,20 @@ class Codec(Generic[M]):
         self._check(message)
         self._inline_limit = 1 << 62
         try:
-            return self._encode(message)
+            return self._encoder.encode(message)
+        except (TypeError, ValueError, OverflowError, RecursionError) as error:
+            raise MessageError(self.topic, "", str(error)) from None
         finally:
             self._inline_limit = INLINE_BYTES
 
-    def decode(self, body: Buffer, frames: Sequence[Buffer] = (), *, schema: bytes | None = None) -> M:
+    def decode(
+        self,
+        body: Buffer,
+        frames: Sequence[Buffer] = (),
+        *,
+        schema: bytes | None = None,
+        finite: bool = False,
+    ) -> M:
         """The message; its arrays are read-only, and views of `frames` where those are aligned.
 
         Args:
@@ -145,6 +182,7 @@ class Codec(Generic[M]):
             frames: Array frames in the order of their indices.
             schema: Schema hash the sender gave, where it is not ours but `compatible` with it: fields we
                 do not know are then left aside, and fields the sender does not know get their defaults.
+            finite: The sender has looked for NaN, and can be believed: arrays need not be read again.
 
         Raises:
             MessageError: anything that is not exactly a valid message of this type.
@@ -157,7 +195,8 @@ class Codec(Generic[M]):
                 raise MessageError(
                     self.topic, "frames", f"{len(frames)} frames came, the body uses {len(self._used)}"
                 )
-            validate(self.topic, message)
+            if self._arrays is None or not _sound(message, self._arrays, not finite):
+                validate(self.topic, message)
         except MessageError as error:
             raise self._named(error, schema) from None
         except (msgspec.DecodeError, ValueError, TypeError, OverflowError, RecursionError) as error:
@@ -178,13 +217,8 @@ class Codec(Generic[M]):
             raise MessageError(
                 self.topic, "", f"is a {type(message).__name__}, must be a {self.type.__name__}"
             )
-        validate(self.topic, message)
-
-    def _encode(self, message: M) -> bytes:
-        try:
-            return self._encoder.encode(message)
-        except (TypeError, ValueError, OverflowError, RecursionError) as error:
-            raise MessageError(self.topic, "", str(error)) from None
+        if self._arrays is None or not _sound(message, self._arrays, True):
+            validate(self.topic, message)
 
     def _encode_array(self, value: Any) -> Any:
         if not isinstance(value, np.ndarray):
@@ -192,7 +226,7 @@ class Codec(Generic[M]):
                 return value.item()
             raise TypeError(f"{type(value).__name__} cannot stand in a message")
         if value.nbytes <= self._inline_limit:
-            return (value.dtype.str, value.shape, value.tobytes())
+            return (value.dtype.str, value.shape, value.data if value.flags.c_contiguous else value.tobytes())
         self._frames.append(value if value.flags.c_contiguous else value.copy(order="C"))
         return (value.dtype.str, value.shape, len(self._frames) - 1)
 
@@ -218,6 +252,8 @@ class Codec(Generic[M]):
         if size != len(data):
             raise ValueError(f"shape {tuple(shape)} of {dtype.str} needs {size} bytes, {len(data)} came")
         array = np.ndarray(shape, dtype, data)
+        if data is where:
+            return array  # read-only and aligned, as bytes are
         if not array.flags.aligned:  # frames under about 9 kB lie anywhere in the receive buffer
             array = array.copy()
         array.flags.writeable = False
@@ -231,6 +267,39 @@ def _field_of(path: str) -> str:
 @cache
 def _checked_fields(message_type: type[msgspec.Struct]) -> tuple[Field, ...]:
     return tuple(f for f in fields_of(message_type) if f.array or f.structs or f.has_floats)
+
+
+@cache
+def _arrays_alone(message_type: type[msgspec.Struct]) -> tuple[tuple[str, Any, tuple, bool], ...] | None:
+    """Name, dtype, axes and whether NaN is barred, of all that is to check; None if there is more to it."""
+    fields = _checked_fields(message_type)
+    specs = [(field.name, field.array) for field in fields if field.array is not None]
+    if len(specs) < len(fields):
+        return None
+    return tuple(
+        (name, spec.numpy_dtype, spec.shape, not spec.allow_nan and spec.numpy_dtype.kind == "f")
+        for name, spec in specs
+    )
+
+
+def _sound(message: msgspec.Struct, arrays: tuple[tuple[str, Any, tuple, bool], ...], finite: bool) -> bool:
+    """Whether arrays are surely right; a quick look, and `validate` decides where there is doubt."""
+    lengths: dict[str, int] = {}
+    for name, dtype, axes, real in arrays:
+        array = getattr(message, name)
+        if array.__class__ is not np.ndarray or array.dtype is not dtype:
+            return False
+        shape = array.shape
+        if len(shape) != len(axes):
+            return False
+        for length, wanted in zip(shape, axes):  # noqa: B905 - of one length, as was just seen
+            if wanted.__class__ is not int:
+                wanted = lengths.setdefault(wanted, length)
+            if length != wanted:
+                return False
+        if finite and real and not math.isfinite(np.vdot(array, array)):
+            return False
+    return True
 
 
 def validate(topic: str, message: msgspec.Struct, path: str = "") -> None:

@@ -6,7 +6,7 @@ from time import monotonic_ns
 import msgspec
 
 from .bus import Bound, BusError, Inlet
-from .codec import Codec, Header
+from .codec import Codec
 from .graph import Graph, edges
 from .topics import TOPICS, Topic
 
@@ -23,7 +23,7 @@ class MemoryHub:
         self.sequence: Bound = {}
         """Last sequence number by `topic@publisher`."""
         for edge in edges(graph):
-            inlet = Inlet(edge, Codec(edge.topic, topics[edge.topic].type), edge.reliable)
+            inlet = Inlet(edge, Codec(edge.topic, topics[edge.topic].type), edge.reliable, trusting=True)
             self._inlets.setdefault(inlet.source, []).append(inlet)
             self._by_subscriber.setdefault(edge.subscriber, []).append(inlet)
 
@@ -61,12 +61,11 @@ class MemoryBus:
         codec = self._codecs.get(name)
         if codec is None:
             codec = self._codecs[name] = Codec(name, self._hub.topics[name].type)
-        body, arrays = codec.encode(message)
         source = f"{name}@{self._node}"
         sequence = self._hub.sequence.get(source, -1) + 1
-        header = Header(sequence, stamp_ns, monotonic_ns(), codec.schema, len(arrays))
+        head, arrays = codec.pack(message, sequence, stamp_ns, monotonic_ns())
         frames = [memoryview(array.tobytes()) for array in arrays]
-        self._hub.deliver(source, [header.pack() + body, *frames], topic.latched)
+        self._hub.deliver(source, [bytes(head), *frames], topic.latched)
         self._hub.sequence[source] = sequence
         return sequence
 

@@ -26,6 +26,7 @@ ZERO_COPY_BYTES = 1 << 16
 """Arrays from this size on are sent without a copy; below, copying is faster."""
 
 DONTWAIT = int(zmq.DONTWAIT)
+_EVENTS, _POLLIN = zmq.EVENTS, int(zmq.POLLIN)
 _MORE = int(zmq.DONTWAIT | zmq.SNDMORE)
 _UNIX_PATH_MAX = 107
 
@@ -129,8 +130,8 @@ def part_of(array: np.ndarray, *, kept: bool) -> Any:
     owner = _owner(array)
     if owner is _WRITABLE:
         array = array.copy()
-    elif isinstance(owner, memoryview) and isinstance(owner.obj, zmq.Frame) and owner.nbytes == array.nbytes:
-        return owner.obj  # as it came in
+    elif isinstance(owner, zmq.Frame) and len(owner) == array.nbytes:
+        return owner  # as it came in
     return zmq.Frame(array.data.cast("B"), copy=False)
 
 
@@ -144,8 +145,9 @@ def _owner(array: np.ndarray) -> object:
         if owner.flags.writeable:
             return _WRITABLE
         owner = owner.base
-    harmless = owner is None or isinstance(owner, bytes) or isinstance(getattr(owner, "obj", None), zmq.Frame)
-    return owner if harmless else _WRITABLE
+    if isinstance(owner, memoryview):
+        owner = owner.obj
+    return owner if owner is None or isinstance(owner, (bytes, zmq.Frame)) else _WRITABLE
 
 
 def send_parts(socket: zmq.Socket, parts: Sequence[Any]) -> None:
@@ -154,9 +156,15 @@ def send_parts(socket: zmq.Socket, parts: Sequence[Any]) -> None:
     Raises:
         zmq.Again: there is no room for it.
     """
-    last = len(parts) - 1
-    for index, part in enumerate(parts):
-        socket.send(part, DONTWAIT if index == last else _MORE)
+    *before, last = parts
+    for part in before:
+        socket.send(part, _MORE)
+    socket.send(last, DONTWAIT)
+
+
+def readable(socket: zmq.Socket) -> bool:
+    """Whether there is something to read; cheaper to ask than to try in vain."""
+    return bool(socket.getsockopt(_EVENTS) & _POLLIN)  # type: ignore[operator]
 
 
 def receive_parts(socket: zmq.Socket) -> list[Buffer]:

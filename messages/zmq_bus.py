@@ -15,13 +15,13 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby
 from time import monotonic, monotonic_ns
-from typing import Any
+from typing import Any, NoReturn
 
 import msgspec
 import zmq
 
 from .bus import LIFE_BITS, Bound, BusError, Inlet, PortError
-from .codec import Codec, Header
+from .codec import Codec
 from .config import near
 from .graph import Edge, Graph, edges
 from .secure import ClientKeys, Gate, present_keys, require_keys
@@ -34,6 +34,7 @@ from .sockets import (
     endpoint,
     part_of,
     publishing,
+    readable,
     receive_parts,
     send_parts,
     subscribe_newcomer,
@@ -98,6 +99,8 @@ class _Output:
     outlets: list[_Outlet] = field(default_factory=list)
     largest: int = 0
     """Size of the largest message so far [bytes]."""
+    bytes: int = 0
+    """Sent so far."""
 
 
 class ZmqBus:
@@ -117,8 +120,6 @@ class ZmqBus:
         self, graph: Graph, node: str, topics: Mapping[str, Topic] = TOPICS, restarts: int = 0
     ) -> None:
         self.inlets: list[Inlet] = []
-        self.bytes_sent: dict[str, int] = {}
-        """By topic."""
         self.refused: dict[str, int] = {}
         """Messages given up because a reliable subscriber did not take them or was away, by topic."""
         self._graph = graph
@@ -228,7 +229,7 @@ class ZmqBus:
         except PortError:
             socket.close()
             raise
-        inlet = Inlet(edge, Codec(edge.topic, topic.type), edge.reliable)
+        inlet = Inlet(edge, Codec(edge.topic, topic.type), edge.reliable, trusting=address is None)
         with self._lock:
             self.inlets.append(inlet)
             self._readers[socket] = inlet
@@ -252,25 +253,29 @@ class ZmqBus:
 
     def publish(self, topic: Topic, message: msgspec.Struct, stamp_ns: int) -> int:
         """See `Bus.publish`."""
-        self._check_process()
-        output = self._output(topic.name)
-        codec, outlets, latched = output.codec, output.outlets, output.topic.latched
-        body, arrays = codec.encode(message)
-        output.sequence = sequence = output.sequence + 1
-        head = Header(sequence, stamp_ns, monotonic_ns(), codec.schema, len(arrays)).pack() + body
-        parts = [head, *[part_of(array, kept=latched) for array in arrays]]
-        size = len(head) + sum([array.nbytes for array in arrays])
-        self.bytes_sent[codec.topic] = self.bytes_sent.get(codec.topic, 0) + size
+        if self._forks != _forks:
+            self._refuse_fork()
+        output = self._outputs.get(topic.name) or self._output(topic.name)
+        codec, latched = output.codec, output.topic.latched
+        sequence = output.sequence + 1
+        head, arrays = codec.pack(message, sequence, stamp_ns, monotonic_ns())
+        output.sequence = sequence
+        size = len(head)
+        parts: list[Any] = [bytes(head) if latched else head]
+        for array in arrays:
+            size += array.nbytes
+            parts.append(part_of(array, kept=latched))
         with self._lock:
             if size > output.largest:
                 self._bound_memory(output, size)
-            for outlet in outlets:
+            for outlet in output.outlets:
                 if outlet.subscribers:
                     self._send(codec.topic, outlet, parts)
                 elif outlet.edge is not None and not latched and outlet.present:
                     self.refused[codec.topic] = self.refused.get(codec.topic, 0) + 1
                 if latched:
                     outlet.last = parts
+        output.bytes += size
         return sequence
 
     def _output(self, port: str) -> _Output:
@@ -317,10 +322,11 @@ class ZmqBus:
 
     def poll(self, timeout: float, ready: Callable[[], bool] | None = None) -> bool:
         """See `Bus.poll`."""
-        self._check_process()
+        if self._forks != _forks:
+            self._refuse_fork()
         ready = ready or self._any_pending
-        deadline = monotonic() + timeout
         with self._lock:
+            deadline = monotonic() + timeout
             self._receive(0 if ready() else min(timeout, SERVICE_PERIOD))
             while not ready():
                 left = deadline - monotonic()
@@ -336,17 +342,11 @@ class ZmqBus:
         return False
 
     def _receive(self, timeout: float) -> None:
-        """Take in all that has come, or else wait for the first to come [s]; the caller holds the lock."""
-        if self._backlog:
-            backlog, self._backlog = self._backlog, {}
-            if any([self._read(socket, inlet, _BURST) for socket, inlet in backlog.items()]):
-                timeout = 0
-        limit = _BURST
-        signals = self._signals.poll(0, 64)
-        if not signals and timeout > 0:
-            signals = self._signals.poll(timeout, 64)
-            limit = 1  # what has just come is alone; looking for more can wait until it is worked on
-        for number, _ in signals:
+        """Take in what has come, or else wait for the first to come [s]; the caller holds the lock."""
+        if self._backlog and self._read_backlog():
+            timeout = 0
+        limit = 1 if timeout else _BURST  # what one waited for is worked on before looking for more
+        for number, _ in self._signals.poll(timeout, 64):
             self._on_signal[number](limit)
         now = monotonic()
         if now > self._next_service:
@@ -354,26 +354,36 @@ class ZmqBus:
             for outlet in self._publishers.values():
                 self._serve(outlet)
 
-    def _read(self, socket: zmq.Socket, inlet: Inlet, limit: int) -> bool:
-        """Read at most so many messages; says whether there were any."""
-        count = 0
-        while count < limit and not inlet.full:  # the rest stays unread: its publisher has to wait
+    def _read_backlog(self) -> bool:
+        """Read on where reading stopped; says whether there was anything."""
+        backlog, self._backlog = self._backlog, {}
+        found = False
+        for socket, inlet in backlog.items():
+            if inlet.bounded and inlet.full:
+                self._backlog[socket] = inlet
+            elif readable(socket):
+                found = True
+                self._read(socket, inlet, _BURST)
+        return found
+
+    def _read(self, socket: zmq.Socket, inlet: Inlet, limit: int) -> None:
+        """Read at most so many messages."""
+        while not (inlet.bounded and inlet.full):  # the rest stays unread: its publisher has to wait
             try:
-                parts = receive_parts(socket)
+                inlet.put(receive_parts(socket))
             except zmq.Again:
-                return count > 0
-            inlet.put(parts)
-            count += 1
+                return
+            limit -= 1
+            if not limit:
+                break
+            if not readable(socket):
+                return
         self._backlog[socket] = inlet
-        return count > 0
 
     def _serve(self, outlet: _Outlet) -> None:
         """Notice who comes and goes; a newcomer to a latched topic gets the last message."""
-        while True:
-            try:
-                event = outlet.socket.recv(zmq.DONTWAIT)
-            except zmq.Again:
-                return
+        while readable(outlet.socket):
+            event = outlet.socket.recv(zmq.DONTWAIT)
             change = {b"\x01": 1, b"\x00": -1}.get(event[:1], 0)
             if event[1:2] == MARK:
                 outlet.present[event[2:].decode(errors="replace")] += change
@@ -392,9 +402,8 @@ class ZmqBus:
                 finally:
                     self._lock.release()
 
-    def _check_process(self) -> None:
-        if self._forks != _forks:
-            raise BusError(f"the bus of {self._node} belongs to the process that opened it, not to a fork")
+    def _refuse_fork(self) -> NoReturn:
+        raise BusError(f"the bus of {self._node} belongs to the process that opened it, not to a fork")
 
     @property
     def sent(self) -> Bound:
@@ -404,6 +413,11 @@ class ZmqBus:
             for output in self._outputs.values()
             if output.sequence >= output.first
         }
+
+    @property
+    def bytes_sent(self) -> dict[str, int]:
+        """By topic."""
+        return {output.topic.name: output.bytes for output in self._outputs.values() if output.bytes}
 
     def subscribers(self, name: str) -> int:
         """How many subscribe a topic of this node now."""

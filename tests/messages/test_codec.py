@@ -348,6 +348,30 @@ def test_repeated_and_misannounced_messages_are_rejected() -> None:
     ]
 
 
+@pytest.mark.parametrize("where", ["inside", "in a frame"])
+def test_the_word_of_a_sender_is_taken_only_where_it_is_trusted(where: str) -> None:
+    count = 3 if where == "inside" else 100
+    codec = Codec("t", BodyStates)
+    head, frames = codec.pack(
+        BodyStates(np.arange(count, dtype="i4"), np.ones((count, 24, 13), "f4")), 0, 0, 0
+    )
+    one = np.float32(1.0).tobytes()
+    parts = [bytes(part) for part in (head, *frames)]
+    assert Header.unpack("t", parts[0]).checked and len(parts) == 1 + (where != "inside")
+    spoiled = parts[-1].rindex(one)
+    parts[-1] = parts[-1][:spoiled] + np.float32(np.nan).tobytes() + parts[-1][spoiled + 4 :]
+    edge = Edge("t", "a", "b", "t", Input("t", "queue", 10), False, False)
+    for trusting in (False, True):
+        inlet = Inlet(edge, codec, False, trusting)
+        inlet.put(parts)
+        assert len(inlet.take(None)) == trusting
+        assert [fault.reason for fault in inlet.faults] == ["holds NaN or infinity"] * (not trusting)
+    unchecked = Inlet(edge, codec, False, trusting=True)
+    header = msgspec.structs.replace(Header.unpack("t", parts[0]), checked=False).pack()
+    unchecked.put([header + parts[0][Header.SIZE :], *parts[1:]])
+    assert unchecked.take(None) == [] and unchecked.rejected == 1
+
+
 def test_finite() -> None:
     for size in (1, 100, 50_000):
         array = np.full(size, 1e30, "f4")

@@ -12,10 +12,12 @@ from typing import Annotated
 import msgspec
 import numpy as np
 import pytest
+import zmq
 
 from footfall.messages.array import Array
 from footfall.messages.bus import LIFE_BITS, BusError, PortError, Received, arrived, take
 from footfall.messages.graph import ClockSpec, Graph, Input, NodeSpec
+from footfall.messages.sockets import part_of
 from footfall.messages.topics import Topic
 from footfall.messages.zmq_bus import ZmqBus, endpoint
 
@@ -415,6 +417,8 @@ def test_what_came_in_goes_out_again_as_it_is(bus: Open) -> None:
     data = np.arange(100_000, dtype="f4")
     first.publish(DATA, Sample(1, data), 0)
     received = collect(middle, 1)[0]
+    assert isinstance(part_of(received.message.data, kept=False), zmq.Frame)
+    assert part_of(received.message.data, kept=False) is received.message.data.base  # not a copy
     middle.publish(BACK, received.message, 0)
     middle.publish(BACK, Sample(2, received.message.data[:50_000]), 0)
     got = [one.message.data for one in collect(last, 2)]
