@@ -1,0 +1,168 @@
+"""What is asked of people in closed loop, and how well they did it (Rempe et al. 2023, sec. 4.2, app. C.2, C.5)."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from .metrics import (
+    RANGES,
+    Array,
+    agent_collisions,
+    histogram_distance,
+    mean_accelerations,
+    motion,
+    obstacle_collisions,
+    social_distance_error,
+    waypoint_error,
+)
+from .objectives import Objective
+from .planner import TracePlanner
+from .rollouts import Rollout, walk
+
+GROUP_DISTANCE, GROUP_COHESION = 1.5, 0.3  # m, probability (app. C.5)
+PERTURBATION = 2.0  # m, standard deviation (app. C.5)
+URGENCY, SPEED = 0.7, 1.25  # share, m/s (app. C.5)
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is asked of the walkers of one rollout, and how far off they were.
+
+    Attributes:
+        name: Of the guide.
+        objectives: For a number of people of whom the walkers come first; nothing is asked of the others.
+        error: (E,) guidance errors [m] of walked positions (walkers, 101, 2).
+    """
+
+    name: str
+    objectives: Callable[[int], list[Objective]]
+    error: Callable[[Array], Array]
+
+
+def reach(name: str, goals: Array) -> Task:
+    """Pass goals (walkers, 2) at any time, also beyond the horizon of a plan."""
+
+    def objectives(people: int) -> list[Objective]:
+        goal = torch.full((people, 2), torch.nan)
+        goal[: len(goals)] = torch.from_numpy(goals)
+        return [Objective("global_waypoint", {"goal": goal, "urgency": URGENCY, "speed": SPEED})]
+
+    return Task(name, objectives, lambda path: waypoint_error(path, goals))
+
+
+def waypoint_task(rollout: Rollout, rng: np.random.Generator) -> Task:
+    """Go where they truly went in nine seconds."""
+    return reach("waypoint", rollout.goals)
+
+
+def perturbed_task(rollout: Rollout, rng: np.random.Generator) -> Task:
+    """Go 2 m (standard deviation of x and of y) beside it."""
+    noise = rng.normal(0, PERTURBATION, rollout.goals.shape)
+    return reach("perturbed", (rollout.goals + noise).astype(np.float32))
+
+
+def groups_task(rollout: Rollout, rng: np.random.Generator) -> Task:
+    """Stay 1.5 m from the nearest member of the group."""
+    groups = rollout.groups
+
+    def objectives(people: int) -> list[Objective]:
+        group = torch.full((people,), -1)
+        group[: len(groups)] = torch.from_numpy(groups)
+        settings = {"group": group, "distance": GROUP_DISTANCE, "cohesion": GROUP_COHESION}
+        return [Objective("social_group", settings)]
+
+    return Task(
+        "groups", objectives, lambda path: social_distance_error(path, groups.astype(float), GROUP_DISTANCE)
+    )
+
+
+def no_task(rollout: Rollout, rng: np.random.Generator) -> Task:
+    """Just walk; the error is the distance from where they truly went."""
+    goals = rollout.goals
+    return Task("none", lambda people: [], lambda path: waypoint_error(path, goals))
+
+
+TASKS = {"none": no_task, "waypoint": waypoint_task, "perturbed": perturbed_task, "groups": groups_task}
+
+
+@dataclass(frozen=True)
+class LoopReport:
+    """Figures over all rollouts.
+
+    Attributes:
+        error: Mean guidance error [m].
+        obstacle: Mean share of time in an obstacle.
+        agent: Mean over scenes of the share of walkers who ever touch somebody.
+        longitudinal: Mean absolute acceleration along the way [m/s^2].
+        lateral: The same across it.
+        emd_speed: Histogram distance of speeds to the recording's [m/s].
+        seconds: CPU time per rollout.
+    """
+
+    error: float
+    obstacle: float
+    agent: float
+    longitudinal: float
+    lateral: float
+    emd_speed: float
+    seconds: float = 0.0
+
+
+@dataclass
+class LoopTally:
+    """Collects rollouts one by one."""
+
+    dt: float
+    error: list[Array] = field(default_factory=list)
+    obstacle: list[Array] = field(default_factory=list)
+    agent: list[float] = field(default_factory=list)
+    walked: list[Array] = field(default_factory=list)
+    speeds: list[Array] = field(default_factory=list)
+
+    def add(self, rollout: Rollout, task: Task, path: Array) -> None:
+        """Count walked positions (walkers, 101, 2) [m]."""
+        span = slice(rollout.now, rollout.now + path.shape[1])
+        others = rollout.observed[rollout.walkers :, span].numpy()
+        self.error.append(task.error(path))
+        self.obstacle.append(obstacle_collisions(path, rollout.radius, rollout.polygons))
+        touched = agent_collisions(np.concatenate([path, others]), rollout.radius)
+        self.agent.append(float(touched[: rollout.walkers].mean()))
+        self.walked.append(path)
+        truth = rollout.observed[: rollout.walkers, span].numpy()
+        speeds = motion(truth, self.dt).speed
+        self.speeds.append(speeds[np.isfinite(speeds)])
+
+    def report(self, seconds: float = 0.0) -> LoopReport:
+        """The figures so far."""
+        walked = np.concatenate(self.walked)
+        speeds = motion(walked, self.dt).speed
+        return LoopReport(
+            float(np.concatenate(self.error).mean()),
+            float(np.concatenate(self.obstacle).mean()),
+            float(np.mean(self.agent)),
+            *mean_accelerations(walked, self.dt),
+            histogram_distance(speeds, np.concatenate(self.speeds), RANGES["speed"]),
+            seconds,
+        )
+
+
+def evaluate_loop(
+    planner: TracePlanner,
+    trials: Sequence[Rollout],
+    task: str,
+    seed: int = 0,
+    clock: Callable[[], float] = lambda: 0.0,
+) -> LoopReport:
+    """Walk all rollouts under one of `TASKS`; perturbations depend on the seed and the rollout only."""
+    tally, begun = LoopTally(trials[0].dt), clock()
+    count = 0
+    for number, rollout in enumerate(trials):
+        asked = TASKS[task](rollout, np.random.default_rng([seed, number]))
+        if task == "groups" and (rollout.groups < 0).all():
+            continue
+        path = walk(planner, rollout, asked.objectives, seed=1000 * seed + number)
+        tally.add(rollout, asked, path[..., :2].numpy())
+        count += 1
+    return tally.report((clock() - begun) / max(count, 1))
