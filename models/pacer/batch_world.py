@@ -93,6 +93,8 @@ class BatchWorld:
         """(N, 7 + H): root pose, then hinge angles."""
         self.qvel: Array = self._batch.qvel
         """(N, 6 + H): the root's velocity, linear in the world and angular in its own frame, then hinges'."""
+        self.forces: Array = self._batch.xfrc_applied
+        """(N, 25, 6): forces, N, and torques on each body, world; the static body first. They stay until changed."""
         self._ctrl = self._batch.ctrl
         self._xpos = self._batch.bind("xpos")
         self._xquat = self._batch.bind("xquat")

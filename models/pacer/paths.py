@@ -29,6 +29,24 @@ class PathSettings:
     speed_range: tuple[float, float] = (0.0, 3.0)
     """m/s."""
 
+    def towards(self, other: PathSettings, share: float) -> PathSettings:
+        """Settings that have gone `share` of the way to those of `other`, which has as many vertices."""
+
+        def between(a: float, b: float) -> float:
+            return a + share * (b - a)
+
+        return PathSettings(
+            self.duration,
+            self.vertices,
+            between(self.turn_rate, other.turn_rate),
+            between(self.sharp_turn, other.sharp_turn),
+            between(self.acceleration, other.acceleration),
+            (
+                between(self.speed_range[0], other.speed_range[0]),
+                between(self.speed_range[1], other.speed_range[1]),
+            ),
+        )
+
 
 class Paths:
     """N paths of positions over time, each a polyline with vertices at equal times.
@@ -103,3 +121,21 @@ def sample_paths(
     steps = (speed * dt)[..., None] * np.stack([np.cos(way), np.sin(way)], -1)
     origin = starts[:, None]
     return Paths(np.concatenate([origin, origin + np.cumsum(steps, axis=1)], axis=1), s.duration)
+
+
+def with_stops(paths: Paths, begins: ArrayLike, ends: ArrayLike, ramp: float = 0.8) -> Paths:
+    """The same ways, walked with a stop on each.
+
+    Args:
+        paths: N paths.
+        begins: (N,) s: from when on the walk slows down; earlier than ``-ramp`` is at rest at first.
+        ends: (N,) s: from when on it speeds up again; infinity never.
+        ramp: s that both take.
+    """
+    times = np.linspace(0.0, paths.duration, paths.vertices.shape[1])
+    middle = 0.5 * (times[1:] + times[:-1])
+    slowing = (middle - np.asarray(begins, dtype=float)[:, None]) / ramp
+    rising = (middle - np.asarray(ends, dtype=float)[:, None]) / ramp
+    pace = 1.0 - np.clip(slowing, 0.0, 1.0) + np.clip(rising, 0.0, 1.0)
+    walked = np.cumsum(np.clip(pace, 0.0, 1.0) * paths.spacing, axis=1)
+    return Paths(paths.at(np.concatenate([np.zeros((len(paths), 1)), walked], axis=1)), paths.duration)

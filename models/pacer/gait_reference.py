@@ -1,0 +1,127 @@
+"""The walk a walker has in mind: the kinematic gait, led along the path and waiting for the body.
+
+No recorded clip is needed at run time: `models/gait` knows standing, starting, turning, stairs and slopes for
+any body. Physics and the policy make it real (residual control, after DReCon, Bergamin et al. 2019).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..body import Body
+from ..gait import Command, Gait, flat_ground
+from ..gait.footholds import HeightAt
+from ..gait.footsteps import stand
+from ..gait.state import STATE, State, describe_walker
+from .path_follower import FollowerLimits, PathFollower
+
+Array = NDArray[np.float64]
+
+_ON_HEEL, _ON_BALL = -0.08, 0.08  # rad: pitch of a standing foot beyond which ball or heel is off the ground
+
+
+class GaitReference:
+    """The poses N people should be in now and one control step from now.
+
+    Args:
+        bodies: the N people.
+        period: control step, s.
+        height_at: ground height (m,), m, at world points (m, 2).
+        limits: what followers of paths can do.
+    """
+
+    def __init__(
+        self,
+        bodies: Sequence[Body],
+        period: float,
+        height_at: HeightAt = flat_ground,
+        limits: FollowerLimits | None = None,
+    ):
+        count = len(bodies)
+        self.period = period
+        self.follower = PathFollower(count, limits)
+        self._gait = Gait(height_at)
+        self._people: State = np.zeros(count, STATE)
+        self._people["id"] = np.arange(count)
+        for row, body in zip(self._people, bodies, strict=True):
+            describe_walker(row, body)
+        self._gait.state = self._people.copy()
+        self.root: Array = np.zeros((count, 7))
+        """(N, 7) pelvis pose one step ahead, world, m, wxyz."""
+        self.joints: Array = np.zeros((count, 69))
+        """(N, 69) rad, one step ahead."""
+        self.velocity: Array = np.zeros((count, 3))
+        """(N, 3) m/s of the pelvis on the way there, world."""
+        self.rates: Array = np.zeros((count, 69))
+        """(N, 69) rad/s on the way there."""
+
+    @property
+    def preview(self) -> float:
+        """How far ahead, s, the path is aimed at."""
+        return self.follower.limits.preview
+
+    @property
+    def steps(self) -> State:
+        """Stride and feet of the N people (`gait.state.STATE`), one step ahead."""
+        return self._gait.state
+
+    @property
+    def contacts(self) -> NDArray[np.bool_]:
+        """Whether heel and ball of left and right foot should stand (N, 2, 2), one step ahead."""
+        planted, roll = self.steps["planted"], self.steps["roll"]
+        return np.stack([planted & (roll < _ON_BALL), planted & (roll > _ON_HEEL)], -1)
+
+    def place(
+        self, ids: NDArray[np.intp], position: Array, heading: Array, speed: Array, phase: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Put people (n,) into mid-stride, or on their feet where the speed is zero.
+
+        Args:
+            ids: who.
+            position: (n, 2) m, world.
+            heading: (n,) rad.
+            speed: (n,) m/s.
+            phase: (n,) of the stride, [0, 1).
+
+        Returns:
+            Root pose (n, 7), joints (n, 69), velocity of the root (n, 6) and rates (n, 69): a pose from which
+            physics can take over; the reference itself is one step ahead of it.
+        """
+        if not len(ids):
+            return np.zeros((0, 7)), np.zeros((0, 69)), np.zeros((0, 6)), np.zeros((0, 69))
+        part = Gait(self._gait.height_at)
+        part.state = self._people[ids].copy()
+        part.state["phase"] = phase
+        way = np.stack([np.cos(heading), np.sin(heading)], -1)
+        step = (speed * self.period)[:, None] * way
+        stand(part.state, position - 2.0 * step, heading, speed, part.height_at)
+        poses = [
+            part.update(Command.of(position + k * step, heading, speed), self.period) for k in (-1, 0, 1)
+        ]
+        (before, bent), (root, joints), (after, next_joints) = poses
+        self._gait.state[ids] = part.state
+        self.follower.place(ids, position + step, heading, speed)
+        self.root[ids], self.joints[ids] = after, next_joints
+        self.velocity[ids] = (after[:, :3] - root[:, :3]) / self.period
+        self.rates[ids] = (next_joints - joints) / self.period
+        twist = np.zeros((len(ids), 6))
+        twist[:, :3] = (root[:, :3] - before[:, :3]) / self.period
+        return root, joints, twist, (joints - bent) / self.period
+
+    def advance(self, aims: Array, people: Array) -> None:
+        """Move the reference on by one control step.
+
+        Args:
+            aims: (N, 2) m, world: where the path is `preview` from now.
+            people: (N, 2) m, world: where the pelvises are.
+        """
+        follower = self.follower
+        follower.advance(aims, people, self.period)
+        command = Command.of(follower.position, follower.heading, follower.speed, follower.turn_rate)
+        root, joints = self._gait.update(command, self.period)
+        self.velocity = (root[:, :3] - self.root[:, :3]) / self.period
+        self.rates = np.clip((joints - self.joints) / self.period, -12.0, 12.0)
+        self.root, self.joints = root, joints

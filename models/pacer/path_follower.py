@@ -1,0 +1,104 @@
+"""A point that walks after a path the way a person can: it starts, brakes and turns in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FollowerLimits:
+    """What a walking person can do."""
+
+    preview: float = 0.5
+    """s: the follower aims at where the path is by then."""
+    response: float = 0.2
+    """s in which it takes on the velocity it wants."""
+    acceleration: float = 3.0
+    """m/s^2."""
+    turn_rate: float = 3.0
+    """rad/s."""
+    turn_response: float = 0.2
+    """s in which it faces where it wants to go."""
+    fastest: float = 3.0
+    """m/s."""
+    sideways: float = 0.4
+    """m/s: fastest side and back step."""
+    leash: float = 0.15
+    """m: how far the person may be from the follower before it comes along."""
+    leash_rate: float = 3.0
+    """1/s at which the distance beyond the leash closes."""
+
+
+class PathFollower:
+    """N followers.
+
+    Args:
+        count: N.
+        limits: what they can do.
+    """
+
+    def __init__(self, count: int, limits: FollowerLimits | None = None):
+        self.limits = limits or FollowerLimits()
+        self.position: Array = np.zeros((count, 2))
+        """(N, 2) m, world."""
+        self.velocity: Array = np.zeros((count, 2))
+        """(N, 2) m/s, world."""
+        self.heading: Array = np.zeros(count)
+        """(N,) rad."""
+        self.turn_rate: Array = np.zeros(count)
+        """(N,) rad/s."""
+
+    @property
+    def speed(self) -> Array:
+        """Speed (N,), m/s."""
+        return np.linalg.norm(self.velocity, axis=-1)
+
+    def place(self, ids: NDArray[np.intp], position: Array, heading: Array, speed: Array) -> None:
+        """Put followers (n,) at positions (n, 2), walking at speeds (n,) along headings (n,)."""
+        self.position[ids], self.heading[ids], self.turn_rate[ids] = position, heading, 0.0
+        self.velocity[ids] = speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
+
+    def advance(self, aims: Array, people: Array, dt: float) -> None:
+        """Walk on for `dt` s.
+
+        Args:
+            aims: (N, 2) m, world: where the path is `FollowerLimits.preview` from now.
+            people: (N, 2) m, world: where the people are, whom the followers wait for.
+            dt: s.
+        """
+        limits = self.limits
+        gap = people - self.position
+        distance = np.linalg.norm(gap, axis=-1, keepdims=True)
+        beyond = np.maximum(distance - limits.leash, 0.0) / np.maximum(distance, 1e-9)
+        self.position = self.position + min(limits.leash_rate * dt, 1.0) * beyond * gap
+
+        wanted = (aims - self.position) / limits.preview
+        pace = np.linalg.norm(wanted, axis=-1, keepdims=True)
+        wanted *= np.minimum(1.0, limits.fastest / np.maximum(pace, 1e-9))
+        self._turn(wanted, dt)
+        cos, sin = np.cos(self.heading), np.sin(self.heading)
+        ahead = cos * wanted[:, 0] + sin * wanted[:, 1]
+        aside = np.clip(cos * wanted[:, 1] - sin * wanted[:, 0], -limits.sideways, limits.sideways)
+        ahead = np.maximum(ahead, -limits.sideways)
+        able = np.stack([cos * ahead - sin * aside, sin * ahead + cos * aside], -1)
+        change = (able - self.velocity) * min(dt / limits.response, 1.0)
+        size = np.linalg.norm(change, axis=-1, keepdims=True)
+        change *= np.minimum(1.0, limits.acceleration * dt / np.maximum(size, 1e-9))
+        self.velocity = self.velocity + change
+        self.position = self.position + self.velocity * dt
+
+    def _turn(self, wanted: Array, dt: float) -> None:
+        """Face the wanted velocity, the more so the faster it is."""
+        limits = self.limits
+        error = np.arctan2(wanted[:, 1], wanted[:, 0]) - self.heading
+        error = (error + np.pi) % (2.0 * np.pi) - np.pi
+        pace = np.linalg.norm(wanted, axis=-1)
+        resolve = np.clip((pace - 0.15) / 0.25, 0.0, 1.0)
+        rate = np.clip(resolve * error / limits.turn_response, -limits.turn_rate, limits.turn_rate)
+        self.turn_rate = self.turn_rate + (rate - self.turn_rate) * min(dt / 0.08, 1.0)
+        self.heading = self.heading + self.turn_rate * dt

@@ -1,0 +1,140 @@
+"""Settings of the walker; named configurations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from .batch_world import Physics
+from .path_follower import FollowerLimits
+from .paths import PathSettings
+
+
+@dataclass(frozen=True)
+class WalkerRewards:
+    """Weight and sharpness of each term of the reward, ``weight * exp(-sharpness * error)``; SI units."""
+
+    path: tuple[float, float] = (0.20, 2.0)
+    """Squared distance from the path (PACER, app. B.2), m^2."""
+    place: tuple[float, float] = (0.15, 20.0)
+    """Squared distance of the pelvis from the gait's, m^2."""
+    upright: tuple[float, float] = (0.10, 8.0)
+    """Squared angle between the pelvis and the gait's, rad^2."""
+    joints: tuple[float, float] = (0.20, 20.0)
+    """Mean squared distance of the hinges from the gait's, rad^2."""
+    velocity: tuple[float, float] = (0.10, 2.0)
+    """Squared difference of the pelvis' velocity from the gait's, m^2/s^2, and (x 0.1) its spin, rad^2/s^2."""
+    contacts: tuple[float, float] = (0.05, 3.0)
+    """Share of heels and balls that stand when they should not or hang when they should stand."""
+    skate: tuple[float, float] = (0.10, 4.0)
+    """Mean speed of sole points that touch the ground, m/s."""
+    effort: tuple[float, float] = (0.05, 0.12)
+    """Mechanical power of the drives per body mass, W/kg (PACER's energy penalty, app. B.2)."""
+    calm: tuple[float, float] = (0.05, 2.0)
+    """Mean squared change of the action per step."""
+
+
+@dataclass(frozen=True)
+class StyleConfig:
+    """The adversarial motion prior (AMP, Peng et al. 2021; PACER, app. B)."""
+
+    weight: float = 0.0
+    """Share of the style reward in the whole; 0 leaves the discriminator out."""
+    window: int = 10
+    """Steps it sees."""
+    hidden: tuple[int, ...] = (256, 128)
+    rate: float = 1e-4
+    gradient_penalty: float = 5.0
+    """On motion capture."""
+    logit_cost: float = 0.01
+    """Of the last layer's squared weights."""
+    weight_decay: float = 1e-4
+    batch: int = 1024
+    """Windows of each kind per step: motion capture, new, remembered."""
+    steps: int = 4
+    """Descent steps per update."""
+    memory: int = 50_000
+    """Windows of the walker that are remembered."""
+
+
+@dataclass(frozen=True)
+class WalkerConfig:
+    """Environment, networks and learning of the walker."""
+
+    worlds: int = 256
+    people: int = 32
+    """Different bodies among the worlds."""
+    physics: Physics = field(default_factory=Physics)
+    rewards: WalkerRewards = field(default_factory=WalkerRewards)
+    style: StyleConfig = field(default_factory=StyleConfig)
+    paths: PathSettings = field(
+        default_factory=lambda: PathSettings(duration=16.0, vertices=161, speed_range=(0.0, 2.2))
+    )
+    limits: FollowerLimits = field(default_factory=FollowerLimits)
+    easy_paths: PathSettings = field(
+        default_factory=lambda: PathSettings(
+            duration=16.0,
+            vertices=161,
+            turn_rate=0.4,
+            sharp_turn=0.0,
+            acceleration=0.4,
+            speed_range=(0.9, 1.5),
+        )
+    )
+    """Paths to begin with; they widen to `paths` as fewer episodes fail."""
+    widen_below: float = 0.35
+    """Share of failing episodes below which paths get harder and pushes stronger."""
+    widening: float = 0.02
+    """By how much of the whole, per update."""
+    standing: float = 0.25
+    """Share of episodes that begin at rest."""
+    body_aware: bool = True
+    """Whether the body's shape is observed (PACER, table 9)."""
+    action_scale: float = 0.4
+    """rad of PD target per unit of action."""
+    lead: float = 0.1
+    """s: PD targets run ahead of the gait by this times its rates; the drives' kd / kp."""
+    lost: float = 1.0
+    """m from the path at which an episode fails; PACER has 4 m, and learns slower for it."""
+    episode: int = 300
+    """Control steps: 10 s."""
+    push_interval: float = 4.0
+    """s between pushes, on average; 0 for none."""
+    push_force: float = 200.0
+    """N at most, sideways or along, for 0.2 s on the chest."""
+    hidden: tuple[int, ...] = (512, 256)
+    noise: float = 0.18
+    """Standard deviation of actions while training."""
+    horizon: int = 16
+    epochs: int = 5
+    minibatch: int = 1024
+    discount: float = 0.97
+    trace_decay: float = 0.95
+    clip: float = 0.2
+    bfloat16: bool = True
+    target_kl: float = 0.02
+    rate: float = 3e-4
+    rate_bounds: tuple[float, float] = (2e-5, 1e-3)
+    seed: int = 0
+
+
+CONFIGS: dict[str, WalkerConfig] = {
+    "compact": WalkerConfig(),
+    "paper": WalkerConfig(
+        worlds=2048,
+        people=473,
+        physics=Physics(actuation="full"),
+        style=StyleConfig(weight=0.5, hidden=(2048, 1024), gradient_penalty=5.0, batch=4096, memory=200_000),
+        hidden=(2048, 1024),
+        paths=PathSettings(duration=16.0, vertices=161),
+        lost=4.0,
+        noise=0.055,
+        horizon=32,
+        epochs=6,
+        minibatch=16384,
+        discount=0.99,
+        bfloat16=False,
+        rate=2e-5,
+        rate_bounds=(2e-5, 2e-5),
+    ),
+}
+"""``paper``: PACER's body, networks, numbers of bodies and PPO settings (app. B)."""

@@ -1,0 +1,293 @@
+"""Many worlds whose people walk along random paths: reset, step, reward (PACER, sec 3.2 and app. B)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..body import BODY_INDEX, JOINT_GAINS, Body, describe, sample_shapes
+from ..body.skeleton import GAIN_REFERENCE_MASS
+from ..gait import flat_ground
+from .batch_world import EVERYONE, BatchWorld
+from .gait_reference import GaitReference
+from .paths import Paths, sample_paths, with_stops
+from .walker_config import WalkerConfig
+from .walker_observation import Mirror, Motion, People, clearance, observe
+from .walker_rewards import fallen, reward_errors, slip_speed, weigh
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+_JITTER = (0.02, 0.05)  # rad and rad/s: spread of initial joint angles and velocities
+_STOPS = 0.2  # share of paths with a stop on the way
+_STAYS = 0.3  # share of those at rest who stay there
+_PUSH = 0.2  # s
+_CHEST = 1 + BODY_INDEX["Chest"]
+
+
+@dataclass(frozen=True)
+class WalkerStep:
+    """What one control step brought, for N worlds."""
+
+    observations: Floats
+    """(N, size) to act on next; after the reset where an episode ended."""
+    rewards: Floats
+    """(N,) in [0, 1], without style."""
+    failed: NDArray[np.bool_]
+    """(N,) fell or left the path: the episode ends and no reward follows."""
+    cut: NDArray[np.bool_]
+    """(N,) the episode was cut while reward would have gone on."""
+    cut_observations: Floats
+    """(number of cut worlds, size): what was seen at the end of those."""
+    terms: dict[str, float]
+    """Mean of each reward term, between 0 and 1, and of plain measures."""
+
+
+class WalkerEnv:
+    """N worlds of one walker each; worlds whose episode ends begin another at once.
+
+    An action (N, H) shifts the PD targets away from the gait's next pose; it answers the observation, and is
+    a mirror image where that is one.
+
+    Args:
+        config: settings.
+        worlds: N; that of the settings when left out.
+        bodies: who walks; drawn from the population when left out.
+        seed: of all random choices.
+    """
+
+    def __init__(
+        self,
+        config: WalkerConfig,
+        worlds: int | None = None,
+        bodies: Sequence[Body] | None = None,
+        seed: int = 0,
+    ):
+        self.config = config
+        count = worlds or config.worlds
+        if bodies is None:
+            bodies = [describe(shape) for shape in sample_shapes(min(config.people, count), seed)]
+        self.world = BatchWorld(bodies, count, config.physics)
+        self.people = People.of([bodies[i] for i in self.world.body_index])
+        self.period = config.physics.control_period
+        self.height_at = flat_ground
+        self.reference = GaitReference(
+            [bodies[i] for i in self.world.body_index], self.period, self.height_at, config.limits
+        )
+        self.n_actions = len(self.world.hinges)
+        self.rng = np.random.default_rng(seed)
+        self.paths = Paths(np.zeros((count, config.paths.vertices, 2)), config.paths.duration)
+        self.mirror = Mirror(self.world.hinges)
+        self.mirrored = np.zeros(count, dtype=bool)
+        """(N,) whose last observation, and so whose next action, is a mirror image."""
+        self.difficulty = 1.0
+        """From 0, easy paths and no pushes, to 1, those of the settings."""
+        self.age = np.zeros(count, dtype=np.intp)
+        """(N,) control steps since each episode began."""
+        gains = JOINT_GAINS[self.world.hinges]
+        scale = (self.people.mass / GAIN_REFERENCE_MASS)[:, None]
+        self._kp, self._kd, self._cap = (gains[:, i] * scale for i in range(3))
+        self._before = np.zeros((count, self.n_actions))
+        self._points = np.zeros((count, 2, 5, 3))
+        self._clear = np.ones((count, 2, 5))
+        self._push_left = np.zeros(count, dtype=np.intp)
+        self.slip = np.zeros(count)
+        """(N,) m/s: mean speed of sole points that touched during the last step."""
+        self._begin(np.arange(count))
+        self.motion = self._read()
+        self._settle(np.arange(count))
+        self.size = self.observe().shape[1]
+        """How many numbers an observation has."""
+
+    def __len__(self) -> int:
+        return len(self.world)
+
+    @property
+    def times(self) -> Array:
+        """(N,) s since each episode began."""
+        return np.asarray(
+            np.linalg.norm(self.motion.positions[:, 0, :2] - self.paths.at(self.times), axis=-1)
+        )
+
+    @property
+    def offsets(self) -> Array:
+        """(N,) m: distance of each pelvis from where the path is now."""
+        return np.linalg.norm(self.motion.positions[:, 0, :2] - self.paths.at(self.times), axis=-1)
+
+    def reset(self) -> Floats:
+        """Begin an episode in every world; spread their ages so that they do not all end together."""
+        everyone = np.arange(len(self))
+        self._begin(everyone)
+        self.motion = self._read()
+        self._settle(everyone)
+        return self.observe()
+
+    def begin(
+        self, ids: NDArray[np.intp], paths: Paths, speeds: Array, headings: Array, phases: Array
+    ) -> None:
+        """Put people (n,) at the beginnings of paths, walking at speeds (n,), or at rest where that is 0."""
+        self.paths.replace(ids, paths)
+        self.age[ids] = 0
+        starts = paths.vertices[:, 0]
+        root, joints, twist, rates = self.reference.place(ids, starts, headings, speeds, phases)
+        joints = joints + self.rng.normal(0.0, _JITTER[0], joints.shape)
+        rates = rates + self.rng.normal(0.0, _JITTER[1], rates.shape)
+        self.world.reset(ids, root, joints, twist, rates)
+        self._before[ids] = 0.0
+        self._push_left[ids] = 0
+        self.world.forces[ids] = 0.0
+
+    def observe(self) -> Floats:
+        """Observations (N, size) of the present state, in a mirror where the right foot leads."""
+        waypoints = self.paths.waypoints(self.times)
+        seen = observe(
+            self.motion,
+            self.people,
+            self.reference,
+            waypoints,
+            self._clear,
+            self.world.hinges,
+            self.config.body_aware,
+        )
+        self.mirrored = self.reference.steps["phase"] >= 0.5
+        seen[self.mirrored] = self.mirror.observations(seen[self.mirrored])
+        return seen
+
+    def unmirrored(self, actions: Floats) -> Floats:
+        """Actions (N, H) as the bodies take them, of actions that answer the last observations."""
+        actions = np.array(actions)
+        actions[self.mirrored] = self.mirror.actions(actions[self.mirrored])
+        return actions
+
+    def targets(self, actions: Floats) -> Array:
+        """PD targets (N, H), rad, of actions (N, H) as the bodies take them."""
+        hinges, config = self.world.hinges, self.config
+        pose = self.reference.joints[:, hinges] + config.lead * self.reference.rates[:, hinges]
+        return pose + config.action_scale * actions
+
+    def advance(self, actions: Floats) -> Array:
+        """Let one control step pass, no reward, no reset; returns the mechanical power (N,), W/kg."""
+        targets = self.targets(actions)
+        self._push()
+        self.world.step(targets)
+        self.age += 1
+        self.motion = self._read()
+        points = self.motion.sole_points(self.people.soles)
+        clear = clearance(points, self.height_at)
+        self.slip = slip_speed(points, self._points, clear, self._clear, self.period)
+        self._points, self._clear = points, clear
+        rates = self.motion.rates
+        torque = np.clip(self._kp * (targets - self.motion.joints), -self._cap, self._cap) - self._kd * rates
+        return np.abs(torque * rates).sum(1) / self.people.mass
+
+    def lead(self) -> None:
+        """Move the references on, so that they are one step ahead of the people again."""
+        self.reference.advance(
+            self.paths.at(self.times + self.reference.preview), self.motion.positions[:, 0, :2]
+        )
+
+    def fallen(self) -> NDArray[np.bool_]:
+        """Whether people (N,) have fallen."""
+        return fallen(self.motion, self.people, self.height_at)
+
+    def step(self, actions: Floats) -> WalkerStep:
+        """Let one control step pass, judge it, and begin anew where an episode ended."""
+        actions = self.unmirrored(actions)
+        power = self.advance(actions)
+        targets = self.paths.at(self.times)
+        spin_gap = self.motion.spin.copy()
+        spin_gap[:, 2] -= self.reference.follower.turn_rate
+        errors = reward_errors(
+            self.motion,
+            spin_gap,
+            self.reference,
+            targets,
+            self.world.hinges,
+            self._clear,
+            self.slip,
+            power,
+            (actions - self._before).astype(float),
+        )
+        self._before = np.array(actions, dtype=float)
+        rewards, terms = weigh(errors, self.config.rewards)
+        fell = self.fallen() | ~np.isfinite(rewards)
+        strayed = ~fell & ~(errors["path"] < self.config.lost**2)
+        failed = fell | strayed
+        cut = ~failed & (self.age >= self.config.episode)
+        self.lead()
+        observations = self.observe()
+        cut_observations = observations[cut]
+        ended = np.flatnonzero(failed | cut)
+        means = {f"term_{name}": float(np.nan_to_num(term).mean()) for name, term in terms.items()}
+        means |= {
+            "path_error": float(np.sqrt(np.nan_to_num(errors["path"])).mean()),
+            "skate": float(np.nan_to_num(self.slip).mean()),
+            "power": float(np.nan_to_num(power).mean()),
+            "fell": float(fell.sum()),
+            "strayed": float(strayed.sum()),
+        }
+        if len(ended):
+            self._begin(ended)
+            self.motion = self._read()
+            self._settle(ended)
+            observations[ended] = self.observe()[ended]
+        return WalkerStep(
+            observations, np.nan_to_num(rewards).astype(np.float32), failed, cut, cut_observations, means
+        )
+
+    def _begin(self, ids: NDArray[np.intp]) -> None:
+        """Draw paths for people (n,) and put them there."""
+        rng, n, config = self.rng, len(ids), self.config
+        headings = rng.uniform(-np.pi, np.pi, n)
+        settings = config.easy_paths.towards(config.paths, self.difficulty)
+        paths = sample_paths(np.zeros((n, 2)), headings, rng, settings)
+        speeds = np.linalg.norm(paths.vertices[:, 1] - paths.vertices[:, 0], axis=1) / paths.spacing
+        resting = rng.random(n) < config.standing
+        stops = ~resting & (rng.random(n) < _STOPS)
+        begins = np.where(resting, -10.0, np.where(stops, rng.uniform(0.5, 8.0, n), 1e3))
+        pauses = np.where(resting & (rng.random(n) < _STAYS), 1e3, rng.uniform(0.2, 3.0, n))
+        ends = np.where(resting, pauses, begins + 0.8 + pauses)
+        paths = with_stops(paths, begins, ends)
+        headings = headings + np.where(resting, rng.uniform(-1.0, 1.0, n), rng.normal(0.0, 0.1, n))
+        self.begin(ids, paths, np.where(resting, 0.0, speeds), headings, rng.random(n))
+
+    def _read(self) -> Motion:
+        world = self.world
+        return Motion(
+            world.positions,
+            world.quaternions,
+            world.qvel[:, :3],
+            world.pelvis_spin(EVERYONE),
+            world.joints,
+            world.joint_velocities,
+        )
+
+    def _settle(self, ids: NDArray[np.intp]) -> None:
+        """Forget where soles were before people (n,) were put somewhere."""
+        points = self.motion.sole_points(self.people.soles)
+        self._points[ids] = points[ids]
+        self._clear[ids] = clearance(points[ids], self.height_at)
+
+    def _push(self) -> None:
+        """Begin and end random pushes."""
+        self._push_left -= 1
+        self.world.forces[self._push_left == 0] = 0.0
+        config, rng = self.config, self.rng
+        if not config.push_interval:
+            return
+        new = np.flatnonzero(
+            (rng.random(len(self)) < self.period / config.push_interval) & (self._push_left < 0)
+        )
+        if len(new):
+            angle = rng.uniform(-np.pi, np.pi, len(new))
+            self.push(new, self.difficulty * config.push_force * rng.random(len(new)), angle, _PUSH)
+
+    def push(self, ids: NDArray[np.intp], force: Array, angle: Array, duration: float) -> None:
+        """Push the chests of people (n,) with forces (n,), N, towards angles (n,), rad, world, for so long, s."""
+        self.world.forces[ids] = 0.0
+        self.world.forces[ids, _CHEST, 0] = force * np.cos(angle)
+        self.world.forces[ids, _CHEST, 1] = force * np.sin(angle)
+        self._push_left[ids] = round(duration / self.period) + 1  # the step in which it ends is not pushed

@@ -1,0 +1,153 @@
+"""`footfall train pacer`: train the walker.
+
+    footfall train pacer --config compact
+
+Run it again with the same `--out` to go on where it stopped; settings may change on the way. The folder holds
+`curve.csv`, `evaluation.csv`, `model.safetensors` (the network) and `state.safetensors` (all that resuming
+needs).
+"""
+
+import argparse
+import csv
+import signal
+import sys
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import torch
+
+from ..models.pacer.walker_config import CONFIGS, WalkerConfig
+from ..models.pacer.walker_env import WalkerEnv
+from ..models.pacer.walker_training import WalkerTraining
+from ..models.trace.weights import load_tensors, save_tensors
+
+
+class TrainingError(ValueError):
+    """Settings that cannot be, or a checkpoint that does not fit them."""
+
+
+def add_parser(subparsers) -> None:
+    """Add `train pacer` to the command line."""
+    parser = subparsers.add_parser("pacer", help="the walker")
+    parser.add_argument("--config", choices=sorted(CONFIGS), default="compact")
+    parser.add_argument("--out", type=Path, default=None, help="folder (default runs/pacer_CONFIG)")
+    parser.add_argument(
+        "--samples", type=float, default=60e6, help="control steps in all (default %(default)g)"
+    )
+    parser.add_argument("--threads", type=int, default=2, help="of physics and networks")
+    parser.add_argument("--worlds", type=int, help="simulated at once")
+    parser.add_argument("--noise", type=float, help="standard deviation of actions")
+    parser.add_argument("--discount", type=float, help="per control step")
+    parser.add_argument("--push-force", type=float, help="N at most")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--save-minutes", type=float, default=3.0)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train until `--samples`, Ctrl-C or SIGTERM; all leave a checkpoint."""
+    if args.samples < 1 or args.threads < 1:
+        raise TrainingError("--samples and --threads must be at least 1")
+    torch.set_num_threads(args.threads)
+    training_run = TrainingRun(args, _config(args))
+    stop: list[int] = []
+    signals = (signal.SIGINT, signal.SIGTERM)
+    previous = {s: signal.signal(s, lambda number, _: stop.append(number)) for s in signals}
+    try:
+        training_run.go(stop)
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+    return 0
+
+
+def _config(args: argparse.Namespace) -> WalkerConfig:
+    config = CONFIGS[args.config]
+    names = ("worlds", "noise", "discount", "push_force")
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    return replace(config, seed=args.seed, physics=replace(config.physics, threads=args.threads), **given)
+
+
+class TrainingRun:
+    """A run in its folder.
+
+    Args:
+        args: the command line.
+        config: settings.
+    """
+
+    def __init__(self, args: argparse.Namespace, config: WalkerConfig):
+        self.args, self.config = args, config
+        self.folder: Path = args.out or Path("runs") / f"pacer_{args.config}"
+        self.training = WalkerTraining(WalkerEnv(config, seed=args.seed), config)
+        self.minutes = 0.0
+        if (self.folder / "state.safetensors").is_file():
+            tensors, facts = load_tensors(self.folder / "state.safetensors")
+            try:
+                self.training.load_state(tensors, facts)
+            except (RuntimeError, KeyError) as error:
+                raise TrainingError(f"{self.folder} holds a run of other settings: {error}") from error
+            self.minutes = float(facts["minutes"])
+        env = self.training.env
+        print(
+            f"{len(env)} worlds of {len(env.world.bodies)} bodies; from sample {self.training.samples:,}",
+            flush=True,
+        )
+
+    def go(self, stop: list[int]) -> None:
+        """Train, log and save."""
+        training, args = self.training, self.args
+        begun, before = time.monotonic(), self.minutes
+        saved = logged = begun
+        window: list[dict[str, float]] = []
+        since = training.samples
+        while training.samples < args.samples and not stop:
+            window.append(training.update())
+            now = time.monotonic()
+            self.minutes = before + (now - begun) / 60
+            if now - logged > 30:
+                self._log(window, (training.samples - since) / (now - logged))
+                window.clear()
+                logged, since = now, training.samples
+            if now - saved > 60 * args.save_minutes:
+                self.save()
+                saved = now
+        self.save()
+
+    def save(self) -> None:
+        """Write both files."""
+        tensors, facts = self.training.state()
+        facts |= {"minutes": self.minutes, "config": asdict(self.config)}
+        facts |= {"observations": self.training.env.size, "actions": self.training.env.n_actions}
+        save_tensors(self.folder / "state.safetensors", tensors, facts)
+        model = {k.removeprefix("model."): v for k, v in tensors.items() if k.startswith("model.")}
+        save_tensors(self.folder / "model.safetensors", model, facts)
+
+    def _log(self, window: list[dict[str, float]], speed: float) -> None:
+        means = {name: sum(w[name] for w in window) / len(window) for name in window[0]}
+        row = {"samples": self.training.samples, "minutes": self.minutes, "samples_per_s": speed} | means
+        self._append("curve.csv", row)
+        print(
+            f"{self.training.samples / 1e6:7.2f} M  {speed:5.0f}/s  reward {means['reward']:.3f}  failing "
+            f"{means['failing']:.2f} ({means['failures_per_s']:.2f}/s)  path {means['path_error']:.3f} m  "
+            f"skate {means['skate']:.3f}  kl {means['kl']:.3f}  rate {means['rate']:.1e}  "
+            f"explained {means['explained']:.2f}  difficulty {means['difficulty']:.2f}",
+            flush=True,
+        )
+        if means["explained"] < -1.0 or means["kl"] > 1.0:
+            print("warning: the critic or the policy diverges", file=sys.stderr, flush=True)
+
+    def _append(self, name: str, row: dict[str, float]) -> None:
+        """Append a row; a file that is there keeps its columns."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / name
+        columns = list(row)
+        if path.is_file():
+            with path.open(newline="") as file:
+                columns = next(csv.reader(file))
+        else:
+            with path.open("w", newline="") as file:
+                csv.writer(file).writerow(columns)
+        with path.open("a", newline="") as file:
+            csv.writer(file).writerow([f"{row[c]:.6g}" if c in row else "" for c in columns])
