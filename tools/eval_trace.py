@@ -14,6 +14,7 @@ from ..models.trace.guidance import Guidance
 from ..models.trace.network import Trace
 from ..models.trace.planner import WEIGHTS, Sampling, TracePlanner
 from ..models.trace.weights import load_model
+from . import eval_trace_closed_loop as closed_loop
 
 QUICK_SCENES = 20
 UNGUIDED = Sampling(solver="dpm", steps=20, samples=1)
@@ -55,11 +56,13 @@ HEADS = {
     "1": ["guide", "method", "guide error", *COLLISIONS_AND_EMD, "CPU s/scene"],
     "5": ["method", "ADE", "FDE", *COLLISIONS_AND_EMD],
     "7": ["w", "method", *COLLISIONS_AND_EMD],
+    **closed_loop.HEADS,
 }
 TITLES = {
     "1": "Guidance on ORCA-Maps (TRACE, table 1)",
     "5": "No guidance, the sample nearest to the truth of 20 (TRACE, table 5)",
     "7": "Classifier-free sampling without guidance (TRACE, table 7)",
+    **closed_loop.TITLES,
 }
 Row = list[str | float | None]
 
@@ -79,6 +82,7 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_SCENES} test scenes instead of all")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--write", type=Path, metavar="FILE", help="put the table into this Markdown file")
+    closed_loop.add_arguments(parser)
     parser.set_defaults(run=run)
 
 
@@ -86,7 +90,11 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate and print; each row is shown as soon as it is known."""
     try:
         trace, facts = load_model(args.weights)
-        scenes = TrialScenes(Crowds.load(args.data), trace.config, limit=QUICK_SCENES if args.quick else None)
+        if args.table in closed_loop.TABLES:
+            scenes = closed_loop.read_trials(args, trace.config)
+        else:
+            limit = QUICK_SCENES if args.quick else None
+            scenes = TrialScenes(Crowds.load(args.data), trace.config, limit=limit)
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
@@ -154,7 +162,7 @@ def table_7(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
         yield [weight, trace.config.name, *collisions_and_emd(report)]
 
 
-TABLES = {"1": table_1, "5": table_5, "7": table_7}
+TABLES = {"1": table_1, "5": table_5, "7": table_7, **closed_loop.TABLES}
 
 
 def markdown_row(row: Row) -> str:

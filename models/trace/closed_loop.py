@@ -1,6 +1,6 @@
 """What is asked of people in closed loop, and how well they did it (Rempe et al. 2023, sec. 4.2, app. C.2, C.5)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,7 +19,7 @@ from .metrics import (
 )
 from .objectives import Objective
 from .planner import TracePlanner
-from .rollouts import Rollout, walk
+from .rollouts import GOAL_SECONDS, Rollout, walk
 
 GROUP_DISTANCE, GROUP_COHESION = 1.5, 0.3  # m, probability (app. C.5)
 PERTURBATION = 2.0  # m, standard deviation (app. C.5)
@@ -148,6 +148,22 @@ class LoopTally:
         )
 
 
+def asked(trials: Sequence[Rollout], task: str, seed: int) -> Iterator[tuple[int, Rollout, Task]]:
+    """Rollouts with what is asked of them; those without any group are left out of `groups`."""
+    for number, rollout in enumerate(trials):
+        if task != "groups" or (rollout.groups >= 0).any():
+            yield number, rollout, TASKS[task](rollout, np.random.default_rng([seed, number]))
+
+
+def recorded(trials: Sequence[Rollout], task: str, seed: int = 0) -> LoopReport:
+    """The figures of the people as they were recorded, for the nine seconds in which all are seen."""
+    tally = LoopTally(trials[0].dt)
+    for _, rollout, wanted in asked(trials, task, seed):
+        span = slice(rollout.now, rollout.now + round(GOAL_SECONDS / rollout.dt) + 1)
+        tally.add(rollout, wanted, rollout.observed[: rollout.walkers, span].numpy())
+    return tally.report()
+
+
 def evaluate_loop(
     planner: TracePlanner,
     trials: Sequence[Rollout],
@@ -157,12 +173,7 @@ def evaluate_loop(
 ) -> LoopReport:
     """Walk all rollouts under one of `TASKS`; perturbations depend on the seed and the rollout only."""
     tally, begun = LoopTally(trials[0].dt), clock()
-    count = 0
-    for number, rollout in enumerate(trials):
-        asked = TASKS[task](rollout, np.random.default_rng([seed, number]))
-        if task == "groups" and (rollout.groups < 0).all():
-            continue
-        path = walk(planner, rollout, asked.objectives, seed=1000 * seed + number)
-        tally.add(rollout, asked, path[..., :2].numpy())
-        count += 1
-    return tally.report((clock() - begun) / max(count, 1))
+    for number, rollout, wanted in asked(trials, task, seed):
+        path = walk(planner, rollout, wanted.objectives, seed=1000 * seed + number)
+        tally.add(rollout, wanted, path[..., :2].numpy())
+    return tally.report((clock() - begun) / max(len(tally.walked), 1))
