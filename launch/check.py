@@ -39,6 +39,11 @@ def check(graph: Graph, topics: Mapping[str, Topic]) -> None:
                 f"{graph.name}: node {node.name} is not required, but in lockstep the clock waits for it;"
                 " say `lockstep: false` or give it a `restart` policy"
             )
+        if CLOCK.name in node.outputs and node.restart.policy != "never":
+            raise ConfigError(
+                f"{graph.name}: node {node.name} owns the clock, and with it time would begin anew;"
+                " it cannot have a `restart` policy"
+            )
     _check_clock(graph)
     _check_publishers(graph, topics)
     _check_exposed(graph)

@@ -49,6 +49,9 @@ class NodeFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR", "CRITICAL"] = "INFO"
     expose: dict[str, str] = {}
     """TCP address by output, `plans: tcp://0.0.0.0:7000`; needs `security`."""
+    watchdog: float | None = None
+    """Longest time without a sign of life, after which the process is ended, its stacks are written down, and
+    `restart` decides [s]; 0 is never. Default: 10; in lockstep a little less than `clock.timeout`."""
 
 
 class LaunchFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -156,6 +159,8 @@ def _node(name: str, values: Any, path: Path) -> NodeSpec:
     file = configure(NodeFile, values, where)
     if file.threads < 1:
         raise ConfigError(f"{where}.threads: {file.threads}, must be at least 1")
+    if file.watchdog is not None and file.watchdog < 0:
+        raise ConfigError(f"{where}.watchdog: {file.watchdog:g} s, must be above 0, or 0 for none")
     inputs = dict.fromkeys(file.inputs, "latest") if isinstance(file.inputs, list) else file.inputs
     outputs = {port: port for port in file.outputs} if isinstance(file.outputs, list) else file.outputs
     return NodeSpec(
@@ -171,6 +176,7 @@ def _node(name: str, values: Any, path: Path) -> NodeSpec:
         lockstep=file.lockstep,
         log_level=file.log_level,
         expose=file.expose,
+        watchdog=file.watchdog,
     )
 
 

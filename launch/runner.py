@@ -25,13 +25,14 @@ from .run_dir import OwnRunDir
 from .shutdown import Shutdown
 from .summary import Counts, Failure, Summary, score_facts
 from .supervisor import Death, Supervisor, WatchdogError
+from .vital_signs import VitalSigns
 
 START_TIMEOUT = 60.0
 """Longest wait until every node is ready [s]."""
 BEAT = 0.05
 """Longest time between two looks at everything [s]."""
-SILENCE = 10.0
-"""A node that has not reported for so long is mentioned [s]."""
+UNASKED = "ended though nobody asked it to"
+"""The reason of a death without a word."""
 
 
 class Runner:
@@ -75,8 +76,7 @@ class Runner:
         """Whether deaths after the end are of no interest: of nodes that spoke with others that have gone."""
         self._last_words: dict[str, Failed] = {}
         self._counts = Counts()
-        self._reported: dict[str, float] = {}
-        """When each node's last report came."""
+        self._signs = VitalSigns(self.graph)
         self._score: Score | None = None
         self._sim_ns = 0
         self._begun = self._started = self._finished = monotonic()
@@ -115,18 +115,15 @@ class Runner:
             if not self._going and not self._ended:
                 self._start_when_ready(deadline)
             if self._going:
-                self._mention_silent()
+                self._end_hanging()
                 if self._console.wants_status:
                     self._show_status()
         self._finished = monotonic()
 
-    def _mention_silent(self) -> None:
-        for name in self.supervisor.alive & set(self._reported):
-            if monotonic() - self._reported[name] > SILENCE:
-                self._console.say(
-                    f"[{name}] has not reported for {SILENCE:g} s; a step may be long, or it hangs"
-                )
-                del self._reported[name]
+    def _end_hanging(self) -> None:
+        for name, number in self._signs.hanging(self.supervisor.alive):
+            self._console.say(f"[{name}] hangs: {number.name}", important=True)
+            self.supervisor.signal({name}, number)
 
     def look(self, wait: float) -> None:
         """Take in messages for up to `wait` [s], lines and deaths; act on them."""
@@ -164,7 +161,7 @@ class Runner:
         for received in take(self.bus):
             self._sim_ns = max(self._sim_ns, received.stamp_ns)
             if received.port == DIAGNOSTICS.name:
-                self._reported[received.message.node] = monotonic()
+                self._signs.heard(received.message.node)
                 self._counts.take(received.message)
             elif received.port == SCORE.name:
                 self._score = received.message
@@ -213,17 +210,19 @@ class Runner:
     def _take_death(self, death: Death) -> None:
         name = death.node
         node = self.graph.node(name)
+        hung = self._signs.died(name, self._own.run.output_of(name))
         if self.failure is not None and self.failure.node == name and not self.failure.ended:
             self.failure = msgspec.structs.replace(self.failure, ended=death.text)
         if self._ended and (self.forgiving or death.code == 0):
             return
         if not self._ended and (wait := self.supervisor.restart(death)) is not None:
             self._ready.pop(name, None)
-            self._console.say(f"[{name}] {death.text}; starting it again in {wait:g} s", important=True)
+            how = f"{hung} ({death.text})" if hung else death.text
+            self._console.say(f"[{name}] {how}; starting it again in {wait:g} s", important=True)
             return
         if death.code != 0 or node.required:
             words = self._last_words.get(name)
-            reason = words.reason if words else self._last_output(name) or "ended though nobody asked it to"
+            reason = hung or (words.reason if words else self._last_output(name)) or UNASKED
             self.fail(Failure(name, reason, death.text, usage=death.code == 2))
         if not self._ended and (node.required or not self._going):
             self._ended = f"{name} failed"

@@ -21,6 +21,9 @@ THREAD_VARIABLES = (
     "VECLIB_MAXIMUM_THREADS",
 )
 
+USAGE = 2
+"""Exit code of a node that was configured wrongly."""
+
 
 class WatchdogError(RuntimeError):
     """The watchdog has ended, and with it all nodes."""
@@ -170,10 +173,15 @@ class Supervisor:
         return Death(name, event.get("code", 127), event.get("reason", ""))
 
     def restart(self, death: Death) -> float | None:
-        """Restart a dead node if its policy allows; returns after which wait [s], or None."""
+        """Restart a dead node if its policy allows; returns after which wait [s], or None.
+
+        A fault of the user's input is not cured by another try.
+        """
         child = self._children[death.node]
         policy: Restart = child.spec.restart
-        if policy.policy == "never" or (policy.policy == "on-failure" and death.code == 0):
+        if death.code == USAGE or policy.policy == "never":
+            return None
+        if policy.policy == "on-failure" and death.code == 0:
             return None
         now = monotonic()
         child.deaths = [at for at in child.deaths if now - at < policy.window]

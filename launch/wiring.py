@@ -24,6 +24,9 @@ from ..messages.topics import (
 RECORDER_DEPTH = 1000
 """Messages of one topic the recorder may lag behind before the publisher waits for it."""
 
+RECORDER_WATCHDOG = 60.0
+"""A disk may take its time, and what the recorder holds is lost with it [s]."""
+
 COMMON = {topic.name for topic in (CLOCK, CONTROL, DIAGNOSTICS, DONE, GRAPH, LOG, PARAMETERS, STEPS)}
 """Topics every graph has."""
 
@@ -86,7 +89,12 @@ def with_recorder(graph: Graph, config: Mapping[str, Any], topics: Mapping[str, 
         topics: Topics by name, built-in and custom.
     """
     recorder = NodeSpec(
-        "recorder", "footfall.nodes.recorder", config=dict(config), required=False, lockstep=False
+        "recorder",
+        "footfall.nodes.recorder",
+        config=dict(config),
+        required=False,
+        lockstep=False,
+        watchdog=RECORDER_WATCHDOG,
     )
     graph = with_node(graph, recorder)
     published = {topic for node in graph.nodes for topic in node.outputs.values()}

@@ -1,5 +1,6 @@
 """The resolved graph: which node publishes and subscribes what, and how each is run."""
 
+import math
 from typing import Any, Literal
 
 import msgspec
@@ -8,6 +9,9 @@ from .clock import Mode
 
 LAUNCHER = "launcher"
 """The launcher's own name among the publishers: it sends `control` and `graph`."""
+
+WATCHDOG = 10.0
+"""Longest time without a sign of life where the launch file does not say [s]."""
 
 
 class Restart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -55,6 +59,9 @@ class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR", "CRITICAL"] = "INFO"
     expose: dict[str, str] = {}
     """TCP address by output port for subscribers elsewhere, `plans: tcp://0.0.0.0:7000`; needs keys."""
+    watchdog: float | None = None
+    """Longest time without a sign of life, after which the process is ended [s]; 0 is never, None is
+    `patience`'s own choice."""
 
 
 class ClockSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -120,6 +127,20 @@ class Edge(msgspec.Struct, frozen=True):
     """Has a socket of its own on which the publisher waits instead of dropping."""
     in_step: bool
     """Joins two participants of lockstep: what crosses it in one tick is seen in the next."""
+
+
+def patience(graph: Graph, node: NodeSpec) -> float:
+    """How long a node may give no sign of life before it counts as hanging [s]; infinite without a watchdog.
+
+    By default ten seconds, but longer than its reliable subscribers may keep it waiting; in lockstep a little
+    less than the clock waits for it, so that it is the node that is named and not the clock.
+    """
+    if node.watchdog is not None:
+        return node.watchdog or math.inf
+    if node.lockstep and graph.clock.mode == "lockstep":
+        return 0.9 * graph.clock.timeout
+    waits = [edge.input.timeout for edge in edges(graph) if edge.reliable and edge.publisher == node.name]
+    return max([WATCHDOG, *(2 * wait for wait in waits)])
 
 
 def edges(graph: Graph) -> list[Edge]:

@@ -23,7 +23,7 @@ from ..messages.codec import MessageError
 from ..messages.config import ConfigError
 from ..messages.custom_topics import resolve_topics
 from ..messages.diagnostics import Diagnostics, InputStats, Level, LogLine, OutputStats
-from ..messages.graph import Graph, NodeSpec
+from ..messages.graph import Graph, NodeSpec, patience
 from ..messages.link import Failed, Finished, Go, Link, Ready, Stop, load_graph
 from ..messages.topics import DIAGNOSTICS, LOG, Outgoing, Topic
 from ..messages.zmq_bus import ZmqBus
@@ -35,7 +35,7 @@ CONNECT_TIMEOUT = 20.0
 RECONNECT_TIMEOUT = 5.0
 """The same for a restarted node, which then goes on without those who are not there either [s]."""
 DIAGNOSTICS_PERIOD = 1.0
-"""[s] of wall time."""
+"""[s] of wall time; shorter where the launcher would not wait for several of them."""
 
 
 class Stopped(Exception):  # noqa: N818 - not an error
@@ -61,6 +61,7 @@ class Process:
         self._errors = 0
         self._step_times: list[float] = []
         self._report_time = monotonic()
+        self._report_period = min(DIAGNOSTICS_PERIOD, patience(graph, self.spec) / 4)
         self._usage = psutil.Process()
         self._cpu = sum(self._usage.cpu_times()[:2])
         self._log_file = _LogFile(Path(graph.run_dir) / "log" / f"{name}.jsonl", name, self._lines)
@@ -110,6 +111,7 @@ class Process:
         while True:
             line = self.link.receive(0.05)
             if isinstance(line, Go):
+                self.report()  # from here on the launcher expects signs of life
                 return line
             if isinstance(line, Stop) or self._signalled:
                 raise Stopped
@@ -137,7 +139,10 @@ class Process:
             while inlet.faults:
                 log.error("rejected %s", inlet.faults.pop(0))
         self._flush_log()
-        if monotonic() - self._report_time > DIAGNOSTICS_PERIOD:
+        self._report_if_due()
+
+    def _report_if_due(self) -> None:
+        if monotonic() - self._report_time > self._report_period:
             self.report()
 
     def publish(self, outgoing: list[Outgoing]) -> dict[str, list[int]]:
@@ -146,6 +151,7 @@ class Process:
         for item in outgoing:
             sequence = self.bus.publish(item.topic, item.message, self.now_ns)
             produced.setdefault(self.spec.outputs.get(item.topic.name, item.topic.name), []).append(sequence)
+            self._report_if_due()  # a slow subscriber may have kept us
         return produced
 
     def finish(self, reason: str) -> None:

@@ -101,7 +101,7 @@ def kills(name: str, mode: str) -> Iterator[Row]:
     restartable = [node for node in nodes if node != owner]
     with Victim(name, mode, restart=restartable) as victim:
         for node in restartable:
-            yield _restartable(victim, node)
+            yield restart(victim, node)
     with Victim(name, mode, record=True) as victim:
         yield _recorder(victim)
     with Victim(name, mode, begin=False) as victim:
@@ -132,7 +132,7 @@ def _required(victim: "Victim", node: str) -> Row:
     )
 
 
-def _restartable(victim: "Victim", node: str) -> Row:
+def restart(victim: "Victim", node: str) -> Row:
     begin = victim.kill(f"--node {node}")
     back = victim.first_step(node, life=1)
     seconds = (back or monotonic()) - begin

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from footfall.launch.running import find_graph
+
 LITTLE = Path(__file__).parent / "little"
 
 
@@ -55,6 +57,12 @@ class Launched:
             assert self.process.poll() is None, self.process.communicate()
             time.sleep(0.01)
         raise AssertionError(f"no {count} processes with {word!r}: {self.survivors()}")
+
+    def wait_until_running(self) -> None:
+        """Wait until the graph ticks: every node has reported."""
+        logs = Path(find_graph().run_dir) / "log"
+        wait_until(lambda: len(list(logs.glob("*.jsonl"))) > 0)
+        time.sleep(1.5)
 
     def gone_within(self, seconds: float) -> float:
         """Wait until nothing is left; returns how long that took."""
