@@ -10,6 +10,7 @@ not (its speeds ring). All sums over time are parallel (`cumsum`).
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -47,13 +48,52 @@ def rollout(state: Tensor, actions: Tensor, dt: float, limits: UnicycleLimits = 
     Returns:
         (..., T, 4) states after each action, in the frame of `state`.
     """
-    acceleration = actions[..., 0].clamp(*limits.acceleration)
-    yaw_rate = actions[..., 1].clamp(-limits.yaw_rate, limits.yaw_rate)
-    speed = state[..., 3:4] + torch.cumsum(acceleration, -1) * dt
-    heading = state[..., 2:3] + torch.cumsum(yaw_rate, -1) * dt
-    x = state[..., 0:1] + torch.cumsum(speed * torch.cos(heading), -1) * dt
-    y = state[..., 1:2] + torch.cumsum(speed * torch.sin(heading), -1) * dt
-    return torch.stack([x, y, heading, speed], -1)
+    return _Rollout.apply(state, actions, dt, limits)
+
+
+class _Rollout(torch.autograd.Function):
+    """The rollout with its gradient written out: guidance takes it hundreds of times a plan."""
+
+    @staticmethod
+    def forward(ctx: Any, state: Tensor, actions: Tensor, dt: float, limits: UnicycleLimits) -> Tensor:
+        low, high = _bounds(actions, limits)
+        bounded = torch.maximum(torch.minimum(actions, high), low)
+        rates = torch.cumsum(bounded, -2) * dt + state[..., [3, 2]].unsqueeze(-2)
+        speed, heading = rates.unbind(-1)
+        cos, sin = heading.cos(), heading.sin()
+        moved = torch.stack([speed * cos, speed * sin], -1)
+        positions = torch.cumsum(moved, -2) * dt + state[..., :2].unsqueeze(-2)
+        ctx.save_for_backward(actions, speed, cos, sin)
+        ctx.dt, ctx.limits, ctx.state_shape = dt, limits, state.shape
+        return torch.cat([positions, rates.flip(-1)], -1)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
+        actions, speed, cos, sin = ctx.saved_tensors
+        (grad,) = grads
+        ahead = _sum_ahead(grad[..., :2])  # what all later positions make of a displacement
+        x, y = ahead.unbind(-1)
+        by_speed = grad[..., 3] + (cos * x + sin * y) * ctx.dt
+        by_heading = grad[..., 2] + (cos * y - sin * x) * speed * ctx.dt
+        by_rates = _sum_ahead(torch.stack([by_speed, by_heading], -1))
+        low, high = _bounds(actions, ctx.limits)
+        by_actions = by_rates * ctx.dt * ((actions >= low) & (actions <= high))
+        by_state = None
+        if ctx.needs_input_grad[0]:
+            by_state = torch.cat([ahead, by_rates.flip(-1)], -1)[..., 0, :].sum_to_size(ctx.state_shape)
+        return by_state, by_actions, None, None
+
+
+def _bounds(actions: Tensor, limits: UnicycleLimits) -> tuple[Tensor, Tensor]:
+    """Lower and upper bounds (2,) of actions."""
+    low, high = limits.acceleration
+    return actions.new_tensor([low, -limits.yaw_rate]), actions.new_tensor([high, limits.yaw_rate])
+
+
+def _sum_ahead(x: Tensor) -> Tensor:
+    """Sums (..., T, 2) over the present and all later times."""
+    total = torch.cumsum(x, -2)
+    return x - total + total[..., -1:, :]
 
 
 def headings_along(positions: Tensor, dt: float, initial: Tensor | None = None, slow: float = 0.1) -> Tensor:

@@ -69,7 +69,7 @@ FutureOf = Callable[[Tensor], Future]
 
 def total_loss(objectives: Sequence[Objective], future: Future) -> Tensor:
     """(A, M) weighted sum of the losses."""
-    return torch.stack([o.weight * o.loss(future) for o in objectives]).sum(0)
+    return torch.stack([o.share * o.loss(future) for o in objectives]).sum(0)
 
 
 def guide_direct(
@@ -86,8 +86,10 @@ def guide_direct(
             with torch.enable_grad():
                 actions = clean.detach().requires_grad_()
                 loss = wish.loss(future_of(actions))
+                if not loss.any():
+                    continue
                 gradient = gradient_of(loss, actions)
-            clean = clean - wish.weight * guidance.step(loss.detach(), gradient, variance)
+            clean = clean - wish.share[..., None, None] * guidance.step(loss.detach(), gradient, variance)
     return clean.detach()
 
 
@@ -109,7 +111,7 @@ def choose_samples(losses: dict[str, Tensor], objectives: Sequence[Objective]) -
     Returns:
         (A,) sample numbers; sample 0 without objectives.
     """
-    total = torch.stack([wish.weight * losses[label] for label, wish in labelled(objectives)]).sum(0)
+    total = torch.stack([wish.share * losses[label] for label, wish in labelled(objectives)]).sum(0)
     if any(wish.joint for wish in objectives):
         return total.sum(0).argmin().expand(len(total))
     return total.argmin(1)

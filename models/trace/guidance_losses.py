@@ -15,34 +15,45 @@ def distance_to(future: Future, goal: Tensor) -> tuple[Tensor, Tensor]:
 
 
 @objective("agent_avoid", joint=True)
-def agent_avoid(future: Future, buffer: float = 0.2) -> Tensor:
+def agent_avoid(future: Future, buffer: Tensor | float = 0.2) -> Tensor:
     """Overlap of discs, 1 - d / (r_i + r_j + buffer), summed over time and other agents.
 
     Args:
         future: Of one scene.
-        buffer: Social distance that is kept beyond touching [m] (app. C.5).
+        buffer: Social distance that is kept beyond touching [m] (app. C.5); of two people (A,) the mean.
     """
-    p = future.positions.permute(1, 2, 0, 3)  # (M, T, A, 2)
-    reach = future.radius[:, None] + future.radius + buffer
-    with torch.no_grad():  # few pairs ever touch: only these enter the graph
-        touch = torch.cdist(p, p) < reach
-        sample, time, i, j = touch.triu(1).nonzero().unbind(1)
-    square = (p[sample, time, i] - p[sample, time, j]).square().sum(-1)
-    overlap = torch.relu(1 - (square + 1e-8).sqrt() / reach[i, j])
-    total = overlap.new_zeros(future.states.shape[:2])
-    return total.index_put((i, sample), overlap, True).index_put((j, sample), overlap, True)
+    agents, samples, steps = future.states.shape[:3]
+    distance, given = per_agent(buffer, agents)
+    kept = future.radius + distance[:, 0] / 2
+    p = future.positions
+    with torch.no_grad():  # few ever touch: only they enter the graph
+        low, high = p.amin((1, 2)), p.amax((1, 2))
+        gap = torch.relu(torch.maximum(low[:, None] - high, low - high[:, None]))  # between bounding boxes
+        i, j = (gap.norm(dim=-1) < kept[:, None] + kept).triu(1).nonzero().unbind(1)
+        square = (p[i] - p[j]).square().sum(-1)  # (P, M, T)
+        reach = (kept[i] + kept[j]).square()[:, None, None]
+        pair, sample, time = (square < reach).nonzero().unbind(1)
+        i, j = i[pair], j[pair]
+    flat = p.reshape(-1, 2)
+    one, other = (flat.index_select(0, (k * samples + sample) * steps + time) for k in (i, j))
+    apart = ((one - other).square().sum(-1) + 1e-8).sqrt()
+    overlap = torch.relu(1 - apart / (kept[i] + kept[j]))
+    total = overlap.new_zeros(agents * samples)
+    total = total.index_add(0, i * samples + sample, overlap).index_add(0, j * samples + sample, overlap)
+    return total.reshape(agents, samples) * given
 
 
 @objective("obstacle_avoid")
-def obstacle_avoid(future: Future, buffer: float = 0.0) -> Tensor:
+def obstacle_avoid(future: Future, buffer: Tensor | float = 0.0) -> Tensor:
     """Depth [m] of each disc inside obstacles, summed over time: the gradient is that of the distance field.
 
     Args:
         future: Of one scene.
-        buffer: Distance that is kept beyond touching [m].
+        buffer: Distance that is kept beyond touching [m], for all or (A,).
     """
-    reach = future.radius[:, None, None] + buffer
-    return torch.relu(reach - future.clearance(future.positions)).sum(-1)
+    distance, given = per_agent(buffer, len(future.states))
+    reach = (future.radius[:, None] + distance)[..., None]
+    return torch.relu(reach - future.clearance(future.positions)).sum(-1) * given
 
 
 @objective("obstacle_avoid_points")
@@ -150,35 +161,47 @@ def global_waypoint(
 
 
 @objective("social_group", joint=True)
-def social_group(future: Future, group: Tensor, distance: float = 1.5, cohesion: float = 0.3) -> Tensor:
+def social_group(
+    future: Future,
+    group: Tensor,
+    distance: Tensor | float = 1.5,
+    cohesion: Tensor | float = 0.3,
+    leader: Tensor | None = None,
+) -> Tensor:
     """Members keep a distance to the nearest other member of their group (eq 21), summed over time [m^2].
 
-    The first member of each group leads: others follow, it is not pulled.
+    Others follow the leader of a group, who is not pulled.
 
     Args:
         future: Of one scene.
         group: (A,) group number of each agent; negative walks alone.
-        distance: Social distance [m].
+        distance: Social distance [m], for all or (A,).
         cohesion: Probability with which a member follows a random other member instead of the nearest.
+        leader: (A,) true for who leads; by default the first member of each group.
     """
     group = torch.as_tensor(group)
     agents, samples, steps = future.states.shape[:3]
-    mates = (group[:, None] == group) & (group[:, None] >= 0) & ~torch.eye(agents, dtype=torch.bool)
-    leads = (group[:, None] == group).to(torch.int8).argmax(1) == torch.arange(agents)
-    follows = (mates.any(1) & ~leads).float()[:, None]
-    p = future.positions.transpose(0, 1)
-    leader = leads[None, :, None, None]
-    p = torch.where(leader, p.detach(), p)
-    apart = ((p[:, :, None] - p[:, None]).square().sum(-1) + 1e-8).sqrt()  # (M, A, A, T)
-    nearest = apart.detach().masked_fill(~mates[..., None], torch.inf).argmin(2)  # (M, A, T)
+    same = (group[:, None] == group) & (group[:, None] >= 0)
+    leads = same.to(torch.int8).argmax(1) == torch.arange(agents) if leader is None else leader
+    rows = (same.sum(1) > 1).nonzero()[:, 0]  # (G,) who walks with somebody
+    total = future.states.new_zeros(agents, samples)
+    if not len(rows):
+        return total
+    count, leads = len(rows), leads[rows]
+    mates = same[rows][:, rows] & ~torch.eye(count, dtype=torch.bool)
+    p = future.positions[rows].transpose(0, 1)
+    p = torch.where(leads[:, None, None], p.detach(), p)  # (M, G, T, 2)
+    apart = ((p[:, :, None] - p[:, None]).square().sum(-1) + 1e-8).sqrt()  # (M, G, G, T)
+    nearest = apart.detach().masked_fill(~mates[..., None], torch.inf).argmin(2)  # (M, G, T)
     generator = torch.Generator().manual_seed(future.seed)
-    choices = torch.where(mates.any(1, keepdim=True), mates.float(), torch.ones(()))
-    random = torch.multinomial(choices, samples * steps, replacement=True, generator=generator)
-    random = random.reshape(agents, samples, steps).transpose(0, 1)
-    strays = torch.rand(samples, agents, steps, generator=generator) < cohesion
+    random = torch.multinomial(mates.float(), samples * steps, replacement=True, generator=generator)
+    random = random.reshape(count, samples, steps).transpose(0, 1)
+    chance = per_agent(cohesion, agents)[0][rows]
+    strays = torch.rand(samples, count, steps, generator=generator) < chance
     mate = torch.where(strays, random, nearest)
-    error = (apart.gather(2, mate[:, :, None])[:, :, 0] - distance).square()
-    return error.sum(-1).T * follows
+    wanted = per_agent(distance, agents)[0][rows]
+    error = (apart.gather(2, mate[:, :, None])[:, :, 0] - wanted).square()
+    return total.index_add(0, rows, error.sum(-1).T * ~leads[:, None])
 
 
 @objective("target_speed")
@@ -188,13 +211,40 @@ def target_speed(future: Future, speed: Tensor | float) -> Tensor:
     return (future.states[..., 3] - wanted[..., None]).square().sum(-1) * given
 
 
-def learned_value(value: Callable[[Tensor], Tensor]) -> Callable[[Future], Tensor]:
+@objective("minimum_speed")
+def minimum_speed(future: Future, speed: Tensor | float) -> Tensor:
+    """Squared shortfall of the speed below (A,) [m/s], summed over time."""
+    wanted, given = per_agent(speed, len(future.states))
+    return torch.relu(wanted[..., None] - future.states[..., 3]).square().sum(-1) * given
+
+
+@objective("follow")
+def follow(future: Future, way: Tensor, slack: Tensor | float = 0.5) -> Tensor:
+    """Distance beyond a slack from a timed way, mean over time [m].
+
+    What eq 14-20 ask of a goal beyond the horizon, along a way around obstacles instead of the straight line:
+    the slack is how far somebody may lag behind, or stray, by then.
+
+    Args:
+        future: Of one scene.
+        way: (A, T, 2) world x, y of where each would be at the times of the future [m].
+        slack: (A, T) or one for all [m].
+    """
+    points, given = per_agent(way, len(future.states))
+    room = torch.as_tensor(slack, dtype=torch.float32)
+    room = room[:, None] if room.ndim else room
+    distance = ((future.positions - points).square().sum(-1) + 1e-8).sqrt()
+    return torch.relu(distance - room).mean(-1) * given
+
+
+def learned_value(value: Callable[[Future], Tensor]) -> Callable[[Future], Tensor]:
     """A loss exp(-V) from a value function of plans (app. A.2.2); register the result with `objective`.
 
     Args:
-        value: Maps states (A, M, T, 4) to expected rewards (A, M), differentiably.
+        value: Maps a future to expected rewards (A, M), differentiably in its states; what else it needs to
+            know about somebody (a body's pose, the ground) it finds by `future.ids`.
     """
-    return lambda future: torch.exp(-value(future.states))
+    return lambda future: torch.exp(-value(future))
 
 
 def _frame(future: Future, time: Tensor | float) -> Tensor:

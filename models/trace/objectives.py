@@ -36,6 +36,7 @@ class Future:
         maps: Signed distance fields; the agents stand on the map of number `scene`, None where unknown.
         scene: Number of the agents' map.
         seed: Of objectives that draw something; constant over one plan.
+        ids: Numbers of the agents in the caller's world, for objectives that know more about somebody.
     """
 
     states: Tensor
@@ -45,6 +46,7 @@ class Future:
     maps: SceneMaps | None = None
     scene: int = 0
     seed: int = 0
+    ids: tuple[int, ...] = ()
 
     @property
     def positions(self) -> Tensor:
@@ -97,15 +99,16 @@ class Objective:
     Attributes:
         name: Of a registered loss.
         parameters: Handed to the loss by name. A (A, ...) tensor with NaN rows leaves those agents out.
-        weight: Its share when several objectives pull.
+        weight: Its share when several objectives pull; a number, or (A,) one for each agent. With 0 it does
+            not pull.
 
     Raises:
-        ObjectiveError: When no loss has this name or the weight is negative.
+        ObjectiveError: When no loss has this name or a weight is negative.
     """
 
     name: str
     parameters: dict[str, Any] = field(default_factory=dict)
-    weight: float = 1.0
+    weight: float | Tensor = 1.0
 
     def __post_init__(self):
         if self.name not in OBJECTIVES:
@@ -114,13 +117,18 @@ class Objective:
                 f"; did you mean {close[0]!r}?" if close else f"; there are {', '.join(sorted(OBJECTIVES))}"
             )
             raise ObjectiveError(f"there is no objective {self.name!r}{hint}")
-        if not self.weight >= 0:
+        if not bool((torch.as_tensor(self.weight) >= 0).all()):
             raise ObjectiveError(f"the weight of {self.name!r} must not be negative, it is {self.weight}")
 
     @property
     def joint(self) -> bool:
         """Whether agents depend on each other through it."""
         return OBJECTIVES[self.name].joint
+
+    @property
+    def share(self) -> Tensor:
+        """The weight as (A, 1), or (1, 1) where it is the same for all."""
+        return torch.as_tensor(self.weight, dtype=torch.float32).reshape(-1, 1)
 
     def loss(self, future: Future) -> Tensor:
         """(A, M) unweighted losses.

@@ -23,7 +23,7 @@ from .guidance import (
     total_loss,
 )
 from .network import Encoding, Trace
-from .objectives import Future, Objective
+from .objectives import Future, Objective, ObjectiveError
 from .scene_map import SceneMaps
 from .weights import load_model
 
@@ -45,7 +45,7 @@ class Sampling:
     """
 
     solver: Literal["dpm", "ddim", "sde", "ddpm"] = "dpm"
-    steps: int = 8
+    steps: int = 5
     samples: int = 10
     context_weight: float = 0.0
     reduced: bool = True
@@ -71,9 +71,15 @@ class Sampling:
 
 @dataclass(frozen=True)
 class TraceFutures(Futures):
-    """Futures and the normalised actions (A, S, horizon, 2) behind them, for the next plan to start with."""
+    """Futures and what the next plan starts with.
+
+    Attributes:
+        actions: (A, S, horizon, 2) normalised actions behind the futures.
+        ids: Numbers of the agents.
+    """
 
     actions: Tensor = field(default_factory=lambda: torch.empty(0))
+    ids: tuple[int, ...] = ()
 
 
 class TracePlanner:
@@ -113,6 +119,7 @@ class TracePlanner:
         previous: TraceFutures | None = None,
         elapsed: int = 10,
         seed: int = 0,
+        ids: Sequence[int] | None = None,
     ) -> TraceFutures:
         """Futures of all A agents of a scene.
 
@@ -123,26 +130,37 @@ class TracePlanner:
             maps: One scene's map, or None where it is unknown.
             objectives: What is asked; see `objectives.OBJECTIVES`.
             present: (A, 31) false where an agent was not seen.
-            previous: The last plan of the same agents: saves denoising steps and keeps plans from flickering.
+            previous: The last plan: saves denoising steps and keeps plans from flickering. Who is new since
+                then starts from walking straight on.
             elapsed: Frames since `previous` was made.
             seed: Same seed, same plan.
+            ids: Numbers of the agents, by which `previous` knows them; 0 to A - 1 by default.
 
         Raises:
-            ValueError: On wrong shapes, values that are not finite, or a previous plan of other agents.
-            ObjectiveError: On parameters that do not fit an objective.
+            ValueError: On wrong shapes, values that are not finite, a map without the layers the network
+                reads, or a previous plan of other agents.
+            ObjectiveError: On parameters that do not fit an objective, or a goal outside the map.
         """
         states, size = _float(states), _float(size)
+        names = tuple(range(len(states))) if ids is None else tuple(ids)
+        if len(names) != len(states):
+            raise ValueError(f"ids must name {len(states)} agents, not {len(names)}")
+        if not len(states):
+            return _nobody(self.sampling.samples, self.config.plan, self.config.horizon)
         if states.ndim == 3 and states.shape[1] != self.config.history:
             raise ValueError(f"states must hold {self.config.history} frames an agent, not {states.shape[1]}")
         seen = None if present is None else torch.as_tensor(present, dtype=torch.bool)
         config = self.config
+        if maps is not None:
+            maps = maps.select(config.map_layers)
+            check_goals(objectives, maps)
         context = scene_context(states, size, maps, seen, config.max_neighbors, config.neighbor_radius)
         now, radius = states[:, -1], size.max(1).values / 2
 
         def future_of(actions: Tensor) -> Future:
-            return Future(self.world_states(actions, now), now, radius, config.dt, maps, seed=seed)
+            return Future(self.world_states(actions, now), now, radius, config.dt, maps, seed=seed, ids=names)
 
-        return self.plan_context(context, future_of, objectives, previous, elapsed, seed)
+        return self.plan_context(context, future_of, objectives, previous, elapsed, seed, names)
 
     def plan_context(
         self,
@@ -152,10 +170,12 @@ class TracePlanner:
         previous: TraceFutures | None = None,
         elapsed: int = 10,
         seed: int = 0,
+        ids: tuple[int, ...] | None = None,
     ) -> TraceFutures:
         """The same for a context that is already there, and a function from actions to futures."""
         generator = torch.Generator().manual_seed(seed)
-        start = None if previous is None else self._shifted(previous, len(context), elapsed)
+        ids = tuple(range(len(context))) if ids is None else ids
+        start = None if previous is None else self._shifted(previous, ids, elapsed)
         actions = self.sample(context, future_of, objectives, generator, start)
         with torch.no_grad():
             future = future_of(actions)
@@ -170,6 +190,7 @@ class TracePlanner:
             chosen=chosen.numpy(),
             losses={label: loss.double().numpy() for label, loss in losses.items()},
             actions=actions,
+            ids=ids,
         )
 
     def world_states(self, actions: Tensor, now: Tensor) -> Tensor:
@@ -258,17 +279,57 @@ class TracePlanner:
             return clean[0]
         return self.schedule.classifier_free(clean[0], clean[1], noisy, k, self.sampling.context_weight)
 
-    def _shifted(self, previous: TraceFutures, agents: int, elapsed: int) -> Tensor:
-        """The chosen actions of the last plan, moved on in time, for every sample; zero after their end."""
-        if len(previous.actions) != agents:
-            raise ValueError(f"the previous plan is of {len(previous.actions)} agents, not of {agents}")
+    def _shifted(self, previous: TraceFutures, ids: tuple[int, ...], elapsed: int) -> Tensor:
+        """The chosen actions of the last plan, moved on in time, for every sample.
+
+        After their end, and for who was not in it, nothing changes: straight on at the same speed.
+        """
+        row_of = {agent: row for row, agent in enumerate(previous.ids)}
+        if previous.ids and not row_of.keys() & set(ids):
+            raise ValueError(f"the previous plan is of agents {_some(previous.ids)}, none of {_some(ids)}")
         if elapsed < 0:
             raise ValueError(f"elapsed must not be negative, it is {elapsed}")
-        chosen = previous.actions[torch.arange(agents), torch.as_tensor(previous.chosen)]  # (A, horizon, 2)
-        horizon = chosen.shape[1]
-        rest = (-self.trace.trajectory_mean[4:] / self.trace.trajectory_std[4:]).expand(agents, horizon, 2)
-        shifted = torch.cat([chosen[:, min(elapsed, horizon) :], rest], 1)[:, :horizon]
-        return shifted[:, None].expand(-1, self.sampling.samples, -1, -1)
+        horizon = self.config.horizon
+        straight = -self.trace.trajectory_mean[4:] / self.trace.trajectory_std[4:]
+        start = straight.repeat(len(ids), horizon, 1)
+        known = [(row, row_of[agent]) for row, agent in enumerate(ids) if agent in row_of]
+        if known and elapsed < horizon:
+            rows, old = torch.tensor(known).unbind(1)
+            chosen = previous.actions[old, torch.as_tensor(previous.chosen)[old]]  # (known, horizon, 2)
+            start[rows, : horizon - elapsed] = chosen[:, elapsed:]
+        return start[:, None].expand(-1, self.sampling.samples, -1, -1)
+
+
+def check_goals(objectives: Sequence[Objective], maps: SceneMaps) -> None:
+    """Every `goal` must lie on the map.
+
+    Raises:
+        ObjectiveError: One does not; says whose, and how far the map reaches.
+    """
+    low, high = maps.bounds()
+    for wish in objectives:
+        if (goal := wish.parameters.get("goal")) is None:
+            continue
+        goals = torch.as_tensor(goal, dtype=torch.float32).reshape(-1, 2)
+        outside = ((goals < low) | (goals > high)).any(-1)  # false for NaN: who has no goal
+        if outside.any():
+            agent = int(outside.nonzero()[0])
+            x, y = goals[agent].tolist()
+            raise ObjectiveError(
+                f"objective {wish.name!r}: the goal of agent {agent}, ({x:.1f}, {y:.1f}), lies outside the map, "
+                f"which reaches from ({low[0]:.1f}, {low[1]:.1f}) to ({high[0]:.1f}, {high[1]:.1f})"
+            )
+
+
+def _nobody(samples: int, steps: int, horizon: int) -> TraceFutures:
+    """The plan of an empty scene."""
+    positions = np.zeros((0, samples, steps, 2))
+    empty = positions[..., 0]
+    return TraceFutures(positions, empty, empty, np.zeros(0, int), {}, torch.zeros(0, samples, horizon, 2))
+
+
+def _some(ids: tuple[int, ...]) -> str:
+    return ", ".join(map(str, ids[:5])) + (", ..." if len(ids) > 5 else "")
 
 
 def _float(values: np.ndarray | Tensor) -> Tensor:

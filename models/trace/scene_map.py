@@ -51,6 +51,12 @@ class SceneMaps:
         distance = torch.from_numpy(np.stack(fields))[None]
         return cls(distance, torch.tensor([list(origin)], dtype=torch.float32), resolution, tuple(layers))
 
+    def bounds(self) -> tuple[Tensor, Tensor]:
+        """Lower left and upper right corner (2,) of what all scenes cover, world [m]."""
+        cells = torch.tensor(self.distance.shape[:1:-1])  # columns, rows
+        low = self.origin - self.resolution / 2
+        return low.amin(0), (low + self.resolution * cells).amax(0)
+
     def layer(self, name: str) -> "SceneMaps":
         """The same scenes with one layer only.
 

@@ -78,3 +78,15 @@ def test_headings_follow_the_path_and_hold_at_rest():
 def test_wrapping_keeps_the_direction(turns):
     angle = torch.linspace(-3, 3, 7, dtype=torch.float64)
     assert torch.allclose(wrap_angle(angle + 2 * torch.pi * turns), angle)
+
+
+def test_the_written_gradient_is_the_gradient():
+    generator = torch.Generator().manual_seed(3)
+    state = torch.randn(2, 1, 4, generator=generator, dtype=torch.float64, requires_grad=True)
+    actions = torch.randn(2, 3, 6, 2, generator=generator, dtype=torch.float64)
+    actions[0, 0, 2], actions[1, 2, 4] = (
+        torch.tensor([20.0, -9.0]),
+        torch.tensor([-20.0, 9.0]),
+    )  # beyond limits
+    actions.requires_grad_()
+    assert torch.autograd.gradcheck(lambda s, a: rollout(s, a, DT), (state, actions))

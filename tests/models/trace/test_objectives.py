@@ -152,7 +152,7 @@ def test_target_speed():
 
 def test_learned_value():
     future = walkers([[0, 0]], [[1, 0]])
-    value = learned_value(lambda states: states[..., -1, 0])
+    value = learned_value(lambda future: future.states[..., -1, 0])
     assert value(future).item() == pytest.approx(math.exp(-5.0))
 
 

@@ -80,7 +80,7 @@ def test_everything_asked_at_once_is_nearly_met(trace):
         Objective("agent_avoid"),
         Objective("obstacle_avoid"),
     ]
-    plan = TracePlanner(trace, Sampling(samples=10), Guidance(inner_steps=8)).plan(*crowd(), maps, wishes)
+    plan = TracePlanner(trace, Sampling(steps=8), Guidance(inner_steps=8)).plan(*crowd(), maps, wishes)
     assert set(plan.losses) == {"waypoint", "agent_avoid", "obstacle_avoid"}
     assert len(set(plan.chosen.tolist())) == 1  # agents interact: one sample for the scene
     path = plan.positions[np.arange(3), plan.chosen]
@@ -121,8 +121,8 @@ def test_a_previous_plan_is_continued(trace):
         np.linalg.norm(p.positions[:, 0, :30] - chosen[:, 10:40], axis=-1).mean() for p in (again, fresh)
     )
     assert drift < other
-    with pytest.raises(ValueError, match="of 3 agents, not of 2"):
-        planner.plan(states[:2], size[:2], previous=first)
+    with pytest.raises(ValueError, match="agents 0, 1, 2, none of 8, 9"):
+        planner.plan(states[:2], size[:2], previous=first, ids=[8, 9])
 
 
 def test_bad_input_is_named(trace):
