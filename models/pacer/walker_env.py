@@ -108,14 +108,13 @@ class WalkerEnv:
     @property
     def times(self) -> Array:
         """(N,) s since each episode began."""
-        return np.asarray(
-            np.linalg.norm(self.motion.positions[:, 0, :2] - self.paths.at(self.times), axis=-1)
-        )
+        return self.age * self.period
 
     @property
     def offsets(self) -> Array:
         """(N,) m: distance of each pelvis from where the path is now."""
-        return np.linalg.norm(self.motion.positions[:, 0, :2] - self.paths.at(self.times), axis=-1)
+        gap = self.motion.positions[:, 0, :2] - self.paths.at(self.times)
+        return np.sqrt(np.square(gap).sum(1))
 
     def reset(self) -> Floats:
         """Begin an episode in every world; spread their ages so that they do not all end together."""
