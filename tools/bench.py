@@ -7,6 +7,7 @@ BENCHES = {
     "bus": ("bench_bus", "round trips and throughput of the bus beside raw pyzmq and other buses"),
     "env": ("bench_env", "control steps per second of the tracker's worlds beside bare MuJoCo"),
     "kill": ("bench_kill", "SIGKILL every process of a graph in turn; what ends, comes back, is left"),
+    "soak": ("bench_soak", "memory of every process over half an hour, and what was lost on the way"),
     "fuzz": ("fuzz", "broken frames of every message type against the receiving end"),
 }
 """By verb: the module in tools/ that has `add_arguments` and `run`, and one line about it."""

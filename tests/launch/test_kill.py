@@ -4,7 +4,8 @@ import os
 
 import pytest
 
-from footfall.tools.bench_kill import Victim, kills, restart
+from footfall.tools.bench_kill import kills, restart
+from footfall.tools.launched import Launched
 
 pytestmark = pytest.mark.slow
 
@@ -24,6 +25,6 @@ def test_every_process_of_the_crossing() -> None:
 
 def test_nodes_come_back_in_lockstep() -> None:
     nodes = ["map_server", "director", "planner", "controller", "referee"]
-    with Victim("crossing", "lockstep", nodes) as victim:
+    with Launched("crossing", "lockstep", nodes) as victim:
         rows = [restart(victim, node) for node in nodes]
     assert [row for row in rows if not row.right] == []
