@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .orca_scenes import Crowd, CrowdSpec, map_axis
 
 SPLITS = ("train", "val", "test")
+FACTS = ("name", "origin", "resolution", "dt", "radius", "source", "layers")
 
 
 class CrowdFileError(ValueError):
@@ -25,13 +26,15 @@ class Crowds:
         name: Of the data set.
         positions: (S, N, T, 2) world x, y [m]; NaN where nobody is.
         polygons: (S, M, V, 2) convex obstacle outlines [m]; NaN padding.
-        distance: (S, H, W) signed distance to the obstacles [m], float16; (S, 0, 0) without maps.
+        distance: (S, H, W) signed distance to the obstacles [m], float16; (S, 0, 0) without maps;
+            (S, C, H, W) with several layers.
         origin: World x, y of the centre of cell (0, 0) [m].
         resolution: Cell size [m].
         split: (S,) index into `SPLITS`.
         dt: Time between frames [s].
         radius: Disc of a person [m].
         source: How the file was made.
+        layers: Names of the C layers of the map.
     """
 
     name: str
@@ -44,6 +47,7 @@ class Crowds:
     dt: float
     radius: float
     source: dict
+    layers: tuple[str, ...] = ("obstacle",)
 
     @property
     def has_map(self) -> bool:
@@ -58,7 +62,7 @@ class Crowds:
     def save(self, path: Path) -> None:
         """Write atomically; the folder is made if needed."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        facts = {k: getattr(self, k) for k in ("name", "origin", "resolution", "dt", "radius", "source")}
+        facts = {k: getattr(self, k) for k in FACTS}
         arrays = {k: getattr(self, k) for k in ("positions", "polygons", "distance", "split")}
         part = path.with_suffix(".part")
         with part.open("wb") as file:
@@ -77,7 +81,7 @@ class Crowds:
         try:
             with np.load(path, allow_pickle=False) as file:
                 facts = json.loads(str(file["facts"]))
-                facts["origin"] = tuple(facts["origin"])
+                facts |= {k: tuple(facts[k]) for k in ("origin", "layers") if k in facts}
                 return cls(**facts, **{k: file[k] for k in ("positions", "polygons", "distance", "split")})
         except (OSError, KeyError, ValueError, TypeError) as error:
             raise CrowdFileError(f"{path} is not a crowd file: {error}") from error
@@ -108,7 +112,7 @@ def pack_crowds(spec: CrowdSpec, crowds: Sequence[Crowd], seed: int, base: int |
     split[round(0.8 * base) : round(0.9 * base)] = SPLITS.index("val")
     split[round(0.9 * base) : base] = SPLITS.index("test")
     return Crowds(
-        name=f"orca-{spec.subset}",
+        name=f"orca-{spec.subset}" + ("" if spec.area == 15 else f"-{spec.area:g}m"),
         positions=positions,
         polygons=polygons,
         distance=distance,

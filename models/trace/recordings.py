@@ -131,64 +131,89 @@ def triangles(outlines: Sequence[Floats]) -> list[NDArray[np.float32]]:
     ]
 
 
-def pack_recordings(name: str, recordings: Sequence[Recording], radius: float, source: dict) -> Crowds:
-    """One set of crowds of recordings that all have a map, or all have none.
+@dataclass(frozen=True)
+class RecordedMaps:
+    """The maps of R recordings on one grid.
+
+    Attributes:
+        distance: (R, H, W), or (R, C, H, W) with several layers, signed distance [m]; (R, 0, 0) without maps.
+        origin: World x, y of the centre of cell (0, 0) [m].
+        resolution: Cell size [m].
+        outlines: Convex outlines (K, 2) of the obstacles of each recording [m].
+        layers: Names of the C layers.
+    """
+
+    distance: NDArray[np.float16]
+    origin: tuple[float, float]
+    resolution: float
+    outlines: Sequence[Sequence[Floats]]
+    layers: tuple[str, ...] = ("obstacle",)
+
+
+def obstacle_maps(recordings: Sequence[Recording]) -> RecordedMaps:
+    """Distances to the outlines of the recordings, or no maps if they have none.
+
+    Raises:
+        CrowdFileError: When only some recordings have a map.
+    """
+    if len({r.obstacles is None for r in recordings}) > 1:
+        raise CrowdFileError("recordings with a map and without one cannot share a file")
+    places = np.concatenate([track[:, 1:] for r in recordings for track in r.tracks])
+    low, high = places.min(0) - MARGIN, places.max(0) + MARGIN
+    x, y = (np.arange(a, b + RESOLUTION, RESOLUTION) for a, b in zip(low, high, strict=True))
+    origin, outlines = (float(x[0]), float(y[0])), [list(r.obstacles or []) for r in recordings]
+    if recordings[0].obstacles is None:
+        return RecordedMaps(np.zeros((len(recordings), 0, 0), np.float16), origin, RESOLUTION, outlines)
+    cells = np.stack(np.meshgrid(x, y), -1)  # row index grows with y
+    fields = [np.clip(signed_distance(shapes, cells), -FAR, FAR) for shapes in outlines]
+    return RecordedMaps(
+        np.stack(fields).astype(np.float16), origin, RESOLUTION, [triangles(shapes) for shapes in outlines]
+    )
+
+
+def pack_recordings(
+    name: str, recordings: Sequence[Recording], radius: float, source: dict, maps: RecordedMaps | None = None
+) -> Crowds:
+    """One set of crowds of recordings.
 
     Args:
         name: Of the set.
         recordings: All in metres; each keeps its own frame.
         radius: Disc of a person [m].
         source: How the set was made; the recording and start [s] of each scene are added.
+        maps: Of the recordings; their `obstacle_maps` by default.
 
     Raises:
-        CrowdFileError: When there is nobody, or only some recordings have a map.
+        CrowdFileError: When there is nobody.
     """
-    if len({r.obstacles is None for r in recordings}) > 1:
-        raise CrowdFileError(f"{name}: recordings with a map and without one cannot share a file")
     scenes = [(number, *scene) for number, r in enumerate(recordings) for scene in cut_scenes(r)]
     if not scenes:
         raise CrowdFileError(f"{name}: nobody is seen twice")
+    maps = maps or obstacle_maps(recordings)
     most = max(len(scene[3]) for scene in scenes)
     positions = np.full((len(scenes), most, *scenes[0][3].shape[1:]), np.nan, np.float32)
     for row, scene in zip(positions, scenes, strict=True):
         row[: len(scene[3])] = scene[3]
-    origin, fields, outlines = _maps(recordings)
-    corners = np.full((len(recordings), max(map(len, outlines)), 3, 2), np.nan, np.float32)
-    for row, shapes in zip(corners, outlines, strict=True):
-        row[: len(shapes)] = shapes if shapes else row[:0]
+    counts, corners = map(len, maps.outlines), max((len(p) for o in maps.outlines for p in o), default=0)
+    outlines = np.full((len(recordings), max(counts), corners, 2), np.nan, np.float32)
+    for row, shapes in zip(outlines, maps.outlines, strict=True):
+        for padded, shape in zip(row, shapes, strict=False):
+            padded[: len(shape)] = shape
     which = np.array([scene[0] for scene in scenes])
     starts = [[recordings[number].name, round(start, 1)] for number, start, _, _ in scenes]
     return Crowds(
         name=name,
         positions=positions,
-        polygons=corners[which],
-        distance=fields[which],
-        origin=origin,
-        resolution=RESOLUTION,
+        polygons=outlines[which],
+        distance=maps.distance[which],
+        origin=maps.origin,
+        resolution=maps.resolution,
         split=np.array([SPLITS.index(scene[2]) for scene in scenes], np.uint8),
         dt=DT,
         radius=radius,
         source={**source, "starts": starts},
+        layers=maps.layers,
     )
-
-
-def _maps(
-    recordings: Sequence[Recording],
-) -> tuple[tuple[float, float], NDArray[np.float16], list[list[NDArray[np.float32]]]]:
-    """Origin of the common grid, a distance field (R, H, W) and the triangles of each recording."""
-    places = np.concatenate([track[:, 1:] for r in recordings for track in r.tracks])
-    low, high = places.min(0) - MARGIN, places.max(0) + MARGIN
-    x, y = (np.arange(a, b + RESOLUTION, RESOLUTION) for a, b in zip(low, high, strict=True))
-    if recordings[0].obstacles is None:
-        return (
-            (float(x[0]), float(y[0])),
-            np.zeros((len(recordings), 0, 0), np.float16),
-            [[]] * len(recordings),
-        )
-    cells = np.stack(np.meshgrid(x, y), -1)  # row index grows with y
-    outlines = [list(r.obstacles or []) for r in recordings]
-    fields = [np.clip(signed_distance(shapes, cells), -FAR, FAR) for shapes in outlines]
-    return (float(x[0]), float(y[0])), np.stack(fields).astype(np.float16), [triangles(s) for s in outlines]
 
 
 @dataclass(frozen=True)

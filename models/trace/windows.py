@@ -80,7 +80,7 @@ class CrowdWindows:
         self.states, self.actions, self.present = fitted.states, fitted.actions, fitted.present
         self.observed = torch.from_numpy(crowds.positions[rows])
         self.distance = torch.from_numpy(crowds.distance[rows]) if crowds.has_map else None
-        self.resolution = crowds.resolution
+        self.resolution, self.layers = crowds.resolution, crowds.layers
         self.origin = torch.tensor(crowds.origin, dtype=torch.float32).repeat(len(rows), 1)
         if mirror:
             self._add_mirror_images()
@@ -124,8 +124,9 @@ class CrowdWindows:
         """The maps of these scenes, or None for a set without maps."""
         if self.distance is None:
             return None
-        field = self.distance[scenes][:, None].float()
-        return SceneMaps(field, self.origin[scenes], self.resolution)
+        field = self.distance[scenes].float()
+        field = field if field.ndim == 4 else field[:, None]
+        return SceneMaps(field, self.origin[scenes], self.resolution, self.layers)
 
     def _add_mirror_images(self) -> None:
         flip = torch.tensor([1.0, -1.0, -1.0, 1.0])
@@ -134,8 +135,8 @@ class CrowdWindows:
         self.actions = torch.cat([self.actions, self.actions * flip[[0, 1]]])
         self.present = self.present.repeat(2, 1, 1)
         if self.distance is not None:
-            top = self.origin[:, 1] + (self.distance.shape[1] - 1) * self.resolution
-            self.distance = torch.cat([self.distance, self.distance.flip(1)])
+            top = self.origin[:, 1] + (self.distance.shape[-2] - 1) * self.resolution
+            self.distance = torch.cat([self.distance, self.distance.flip(-2)])
             self.origin = torch.cat([self.origin, torch.stack([self.origin[:, 0], -top], 1)])
 
     def _people(self, scene: Tensor, agent: Tensor, frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
