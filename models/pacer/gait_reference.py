@@ -58,6 +58,29 @@ class GaitReference:
         self.rates: Array = np.zeros((count, 69))
         """(N, 69) rad/s on the way there."""
 
+    def keep(self, rows: NDArray[np.intp]) -> None:
+        """Keep people (n,), in that order, and forget the others."""
+        follower = self.follower
+        self._people, self._gait.state = self._people[rows], self._gait.state[rows]
+        for owner, names in (
+            (self, ("root", "joints", "velocity", "rates")),
+            (follower, ("position", "velocity", "heading", "turn_rate")),
+        ):
+            for name in names:
+                setattr(owner, name, getattr(owner, name)[rows])
+
+    def join(self, other: GaitReference) -> None:
+        """Put the people of another reference, of the same ground and period, behind these."""
+        self._people = np.concatenate([self._people, other._people])
+        self._people["id"] = np.arange(len(self._people))
+        self._gait.state = np.concatenate([self._gait.state, other._gait.state])
+        for mine, theirs, names in (
+            (self, other, ("root", "joints", "velocity", "rates")),
+            (self.follower, other.follower, ("position", "velocity", "heading", "turn_rate")),
+        ):
+            for name in names:
+                setattr(mine, name, np.concatenate([getattr(mine, name), getattr(theirs, name)]))
+
     @property
     def preview(self) -> float:
         """How far ahead, s, the path is aimed at."""

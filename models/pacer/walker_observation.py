@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,8 +19,10 @@ Array = NDArray[np.float64]
 
 KEY_BODIES = [BODY_INDEX[n] for n in ("L_Ankle", "R_Ankle", "L_Wrist", "R_Wrist", "Head")]
 FEET = [BODY_INDEX["L_Ankle"], BODY_INDEX["R_Ankle"]]
-TOUCHING = 0.008  # m above the ground at which a sole point counts as standing
-_LIMIT = 8.0  # observations are clipped to this
+TOUCHING = 0.008
+"""m above the ground at which a sole point counts as standing."""
+LIMIT = 8.0
+"""Observations are clipped to this."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,15 @@ class People:
             np.array([b.measurements.head_height for b in bodies]),
             np.array([b.mass for b in bodies]),
         )
+
+    def take(self, rows: NDArray[np.intp]) -> People:
+        """Those of people (n,)."""
+        return People(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def join(self, other: People) -> People:
+        """These, and the others behind them."""
+        pairs = ((getattr(self, field.name), getattr(other, field.name)) for field in fields(self))
+        return People(*(np.concatenate(pair) for pair in pairs))
 
 
 @dataclass(frozen=True)
@@ -169,7 +180,7 @@ def observe(
         dtype=np.float32,
         casting="unsafe",
     )
-    return np.clip(np.nan_to_num(whole), -_LIMIT, _LIMIT)
+    return np.clip(np.nan_to_num(whole), -LIMIT, LIMIT)
 
 
 WAYPOINTS = slice(-20, None)
