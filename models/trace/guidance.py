@@ -32,6 +32,8 @@ class Guidance:
         inner_steps: Steps per denoising step in mode `direct`.
         limit: Longest step of one sample's actions, root mean square over the horizon, in standard
             deviations.
+        polish: More steps of mode `direct` for the chosen samples, at the end.
+        speeds: Guided futures keep between these speeds [m/s]: nobody is made to walk backwards or to race.
     """
 
     mode: Literal["clean", "noisy", "direct"] = "direct"
@@ -39,12 +41,16 @@ class Guidance:
     strength: float = 1.0
     inner_steps: int = 3
     limit: float = 1.0
+    polish: int = 10
+    speeds: tuple[float, float] = (0.0, 3.0)
 
     def __post_init__(self):
         if self.mode not in ("clean", "noisy", "direct") or self.scale not in ("variance", "unit", "polyak"):
             raise GuidanceError(f"there is no guidance mode {self.mode!r} with scale {self.scale!r}")
-        if self.strength < 0 or self.inner_steps < 1 or self.limit <= 0:
-            raise GuidanceError("guidance strength must be >= 0, inner_steps >= 1 and limit > 0")
+        if self.strength < 0 or self.inner_steps < 1 or self.limit <= 0 or self.polish < 0:
+            raise GuidanceError("guidance strength and polish must be >= 0, inner_steps >= 1 and limit > 0")
+        if not 0 <= self.speeds[0] < self.speeds[1]:
+            raise GuidanceError(f"guidance speeds must be a range from 0 m/s upwards, not {self.speeds}")
 
     def step(self, loss: Tensor, gradient: Tensor, variance: Tensor) -> Tensor:
         """What is subtracted from the actions.

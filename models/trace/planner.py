@@ -1,7 +1,7 @@
 """Plans for all agents of a scene at once: encode, denoise jointly under guidance, choose a sample."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -28,6 +28,9 @@ from .scene_map import SceneMaps
 from .weights import load_model
 
 WEIGHTS = Path(__file__).parent.parent / "weights" / "trace_compact.safetensors"
+
+BEYOND = 5.0
+"""Goals may lie so far outside the map [m]."""
 
 
 @dataclass(frozen=True)
@@ -177,11 +180,16 @@ class TracePlanner:
         ids = tuple(range(len(context))) if ids is None else ids
         start = None if previous is None else self._shifted(previous, ids, elapsed)
         actions = self.sample(context, future_of, objectives, generator, start)
-        with torch.no_grad():
-            future = future_of(actions)
-            losses = {label: wish.loss(future) for label, wish in labelled(objectives)}
-        agents = len(context)
-        chosen = choose_samples(losses, objectives) if objectives else torch.zeros(agents, dtype=torch.long)
+        rows = torch.arange(len(context))
+        future, losses = _judge(actions, future_of, objectives)
+        chosen = choose_samples(losses, objectives) if objectives else torch.zeros_like(rows)
+        if objectives and self.guidance.polish:
+            best = self._polish(actions[rows, chosen][:, None], context, future_of, objectives)
+            actions[rows, chosen] = best[:, 0]
+            better, best_losses = _judge(best, future_of, objectives)
+            future.states[rows, chosen] = better.states[:, 0]
+            for label, loss in best_losses.items():
+                losses[label][rows, chosen] = loss[:, 0]
         states = future.states.double().numpy()
         return TraceFutures(
             positions=states[..., :2],
@@ -230,8 +238,28 @@ class TracePlanner:
         for i in range(first, len(solver.timesteps)):
             k = solver.timesteps[i]
             clean, shift = self._guided(noisy, k, encodings, future_of, objectives)
+            if objectives:
+                clean = self._within_speeds(clean, context.speed)
             noisy = solver.step(clean, noisy, i, generator) - shift
         return noisy
+
+    def _polish(
+        self, best: Tensor, context: Context, future_of: FutureOf, objectives: Sequence[Objective]
+    ) -> Tensor:
+        """The chosen samples (A, 1, horizon, 2) after more steps towards what is asked."""
+        guidance = replace(self.guidance, scale="polyak", inner_steps=self.guidance.polish)
+        best = guide_direct(best, future_of, objectives, guidance, torch.zeros(()))
+        return self._within_speeds(best, context.speed)
+
+    def _within_speeds(self, actions: Tensor, speed: Tensor) -> Tensor:
+        """The nearest actions (A, M, horizon, 2) whose speeds, from (A,) now, keep the bounds of guidance."""
+        mean, std = self.trace.trajectory_mean[4], self.trace.trajectory_std[4]
+        low, high = self.guidance.speeds
+        start = speed[:, None, None].expand(*actions.shape[:2], 1)
+        speeds = start + torch.cumsum(actions[..., 0] * std + mean, -1) * self.config.dt
+        speeds = torch.cat([start, speeds.clamp(low, high)], -1)
+        acceleration = (speeds.diff(dim=-1) / self.config.dt - mean) / std
+        return torch.stack([acceleration, actions[..., 1]], -1)
 
     def _guided(
         self,
@@ -300,8 +328,17 @@ class TracePlanner:
         return start[:, None].expand(-1, self.sampling.samples, -1, -1)
 
 
+def _judge(
+    actions: Tensor, future_of: FutureOf, objectives: Sequence[Objective]
+) -> tuple[Future, dict[str, Tensor]]:
+    """Futures of actions (A, M, horizon, 2), and their losses (A, M) by label."""
+    with torch.no_grad():
+        future = future_of(actions)
+        return future, {label: wish.loss(future) for label, wish in labelled(objectives)}
+
+
 def check_goals(objectives: Sequence[Objective], maps: SceneMaps) -> None:
-    """Every `goal` must lie on the map.
+    """Every `goal` must lie on the map, or a few steps beyond its border, where its border goes on.
 
     Raises:
         ObjectiveError: One does not; says whose, and how far the map reaches.
@@ -311,7 +348,7 @@ def check_goals(objectives: Sequence[Objective], maps: SceneMaps) -> None:
         if (goal := wish.parameters.get("goal")) is None:
             continue
         goals = torch.as_tensor(goal, dtype=torch.float32).reshape(-1, 2)
-        outside = ((goals < low) | (goals > high)).any(-1)  # false for NaN: who has no goal
+        outside = ((goals < low - BEYOND) | (goals > high + BEYOND)).any(-1)  # false for NaN: who has no goal
         if outside.any():
             agent = int(outside.nonzero()[0])
             x, y = goals[agent].tolist()
