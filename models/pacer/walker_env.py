@@ -92,13 +92,13 @@ class WalkerEnv:
         self._kp, self._kd, self._cap = (gains[:, i] * scale for i in range(3))
         self._before = np.zeros((count, self.n_actions))
         self._points = np.zeros((count, 2, 5, 3))
-        self._clear = np.ones((count, 2, 5))
+        self.clear = np.ones((count, 2, 5))
+        """(N, 2, 5) m: clearances of the sole points."""
         self._push_left = np.zeros(count, dtype=np.intp)
         self.slip = np.zeros(count)
         """(N,) m/s: mean speed of sole points that touched during the last step."""
         self._begin(np.arange(count))
-        self.motion = self._read()
-        self._settle(np.arange(count))
+        self.settle(np.arange(count))
         self.size = self.observe().shape[1]
         """How many numbers an observation has."""
 
@@ -120,8 +120,7 @@ class WalkerEnv:
         """Begin an episode in every world; spread their ages so that they do not all end together."""
         everyone = np.arange(len(self))
         self._begin(everyone)
-        self.motion = self._read()
-        self._settle(everyone)
+        self.settle(everyone)
         return self.observe()
 
     def begin(
@@ -147,7 +146,7 @@ class WalkerEnv:
             self.people,
             self.reference,
             waypoints,
-            self._clear,
+            self.clear,
             self.world.hinges,
             self.config.body_aware,
         )
@@ -176,8 +175,8 @@ class WalkerEnv:
         self.motion = self._read()
         points = self.motion.sole_points(self.people.soles)
         clear = clearance(points, self.height_at)
-        self.slip = slip_speed(points, self._points, clear, self._clear, self.period)
-        self._points, self._clear = points, clear
+        self.slip = slip_speed(points, self._points, clear, self.clear, self.period)
+        self._points, self.clear = points, clear
         rates = self.motion.rates
         torque = np.clip(self._kp * (targets - self.motion.joints), -self._cap, self._cap) - self._kd * rates
         return np.abs(torque * rates).sum(1) / self.people.mass
@@ -205,7 +204,7 @@ class WalkerEnv:
             self.reference,
             targets,
             self.world.hinges,
-            self._clear,
+            self.clear,
             self.slip,
             power,
             (actions - self._before).astype(float),
@@ -230,8 +229,7 @@ class WalkerEnv:
         }
         if len(ended):
             self._begin(ended)
-            self.motion = self._read()
-            self._settle(ended)
+            self.settle(ended)
             observations[ended] = self.observe()[ended]
         return WalkerStep(
             observations, np.nan_to_num(rewards).astype(np.float32), failed, cut, cut_observations, means
@@ -264,11 +262,12 @@ class WalkerEnv:
             world.joint_velocities,
         )
 
-    def _settle(self, ids: NDArray[np.intp]) -> None:
-        """Forget where soles were before people (n,) were put somewhere."""
+    def settle(self, ids: NDArray[np.intp]) -> None:
+        """Read the motion, and forget where soles were before people (n,) were put somewhere."""
+        self.motion = self._read()
         points = self.motion.sole_points(self.people.soles)
         self._points[ids] = points[ids]
-        self._clear[ids] = clearance(points[ids], self.height_at)
+        self.clear[ids] = clearance(points[ids], self.height_at)
 
     def _push(self) -> None:
         """Begin and end random pushes."""
