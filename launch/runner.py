@@ -14,13 +14,14 @@ from ..messages.bus import Bound, take
 from ..messages.config import near
 from ..messages.diagnostics import Control, Diagnostics, InputStats, OutputStats
 from ..messages.graph import LAUNCHER, Graph
-from ..messages.link import Failed, Finished, Go, Line, Ready, Reply, Request, Steer
+from ..messages.link import Failed, Finished, Go, Line, Publish, Ready, Reply, Request, Steer
 from ..messages.score import Score
 from ..messages.steering import Steering
 from ..messages.topics import CONTROL, DIAGNOSTICS, GRAPH, LOG, SCORE, STEERING, Topic
 from ..messages.zmq_bus import ZmqBus
 from .console import Console, status_text
 from .link_server import LinkServer
+from .outside import Outside
 from .run_dir import OwnRunDir
 from .shutdown import Shutdown
 from .summary import Counts, Failure, Summary, score_facts
@@ -77,6 +78,7 @@ class Runner:
         self._last_words: dict[str, Failed] = {}
         self._counts = Counts()
         self._signs = VitalSigns(self.graph)
+        self._outside = Outside(self.graph, topics)
         self._score: Score | None = None
         self._sim_ns = 0
         self._begun = self._started = self._finished = monotonic()
@@ -190,6 +192,8 @@ class Runner:
             self.link.send(identity, self._obey(line))
         elif isinstance(line, Steer):
             self.link.send(identity, self._steer(line))
+        elif isinstance(line, Publish):
+            self.link.send(identity, self._publish(line))
 
     def _obey(self, request: Request) -> Reply:
         names = self.supervisor.names
@@ -205,6 +209,15 @@ class Runner:
         if not any(STEERING.name == wire.topic for node in self.graph.nodes for wire in node.inputs.values()):
             return Reply(f"nobody in {self.graph.name} listens to {STEERING.name}")
         self.bus.publish(STEERING, Steering(line.command), self._sim_ns)
+        return Reply()
+
+    def _publish(self, line: Publish) -> Reply:
+        try:
+            listeners, message = self._outside.take(line, self._sim_ns)
+        except ValueError as error:  # of the topic or of the message
+            return Reply(str(error))
+        for name in self.supervisor.alive & set(listeners):
+            self.link.send(name.encode(), message)
         return Reply()
 
     def _take_death(self, death: Death) -> None:

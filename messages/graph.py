@@ -9,6 +9,8 @@ from .clock import Mode
 
 LAUNCHER = "launcher"
 """The launcher's own name among the publishers: it sends `control` and `graph`."""
+OUTSIDE = "outside"
+"""The publisher of messages that come by way of the launcher: `footfall topic pub`."""
 
 WATCHDOG = 10.0
 """Longest time without a sign of life where the launch file does not say [s]."""

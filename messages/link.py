@@ -60,13 +60,29 @@ class Steer(msgspec.Struct, frozen=True, tag=True):
     command: Command
 
 
+class Publish(msgspec.Struct, frozen=True, tag=True):
+    """Client to launcher: hand a message to all nodes that listen to a topic."""
+
+    topic: str
+    body: bytes
+    """The message as one self-contained msgpack record, as logs store it."""
+
+
+class Deliver(msgspec.Struct, frozen=True, tag=True):
+    """Launcher to node: a message from outside the graph."""
+
+    topic: str
+    message: bytes
+    """Header and self-contained body."""
+
+
 class Reply(msgspec.Struct, frozen=True, tag=True):
     """Launcher to client: done, or why not."""
 
     error: str | None = None
 
 
-Line = Ready | Go | Stop | Finished | Failed | Request | Steer | Reply
+Line = Ready | Go | Stop | Finished | Failed | Request | Steer | Publish | Deliver | Reply
 
 _decoder = msgspec.json.Decoder(Line)
 

@@ -18,13 +18,13 @@ from typing import get_args
 import msgspec
 import psutil
 
-from ..messages.bus import Bound, BusError
-from ..messages.codec import MessageError
+from ..messages.bus import Bound, BusError, Inlet
+from ..messages.codec import Codec, MessageError
 from ..messages.config import ConfigError
 from ..messages.custom_topics import resolve_topics
 from ..messages.diagnostics import Diagnostics, InputStats, Level, LogLine, OutputStats
-from ..messages.graph import Graph, NodeSpec, patience
-from ..messages.link import Failed, Finished, Go, Link, Ready, Stop, load_graph
+from ..messages.graph import OUTSIDE, Edge, Graph, NodeSpec, patience
+from ..messages.link import Deliver, Failed, Finished, Go, Link, Ready, Stop, load_graph
 from ..messages.topics import DIAGNOSTICS, LOG, Outgoing, Topic
 from ..messages.zmq_bus import ZmqBus
 
@@ -57,6 +57,8 @@ class Process:
         self.steps = 0
         self.now_ns = 0
         self._signalled = False
+        self._outside: dict[str, list[Inlet]] = {}
+        """By topic, what takes messages from outside the graph."""
         self._lines: deque[LogLine] = deque(maxlen=1000)
         self._errors = 0
         self._step_times: list[float] = []
@@ -123,8 +125,28 @@ class Process:
         Raises:
             Stopped: it does.
         """
-        if self._signalled or isinstance(self.link.receive(0), Stop):
+        line = self.link.receive(0)
+        if self._signalled or isinstance(line, Stop):
             raise Stopped
+        if isinstance(line, Deliver):
+            self._take_from_outside(line)
+
+    def _take_from_outside(self, line: Deliver) -> None:
+        """Put a message into an inlet that has no socket; steps and recordings see it as any other."""
+        if line.topic not in self._outside:
+            topic = self.topics[line.topic]
+            wires = [(port, wire) for port, wire in self.spec.inputs.items() if wire.topic == line.topic]
+            self._outside[line.topic] = [
+                Inlet(
+                    Edge(line.topic, OUTSIDE, self.name, port, wire, reliable=False, in_step=False),
+                    Codec(line.topic, topic.type),
+                    keep_all=False,
+                )
+                for port, wire in wires
+            ]
+            self.bus.inlets += self._outside[line.topic]
+        for inlet in self._outside[line.topic]:
+            inlet.put([line.message])
 
     def wait(self, ready: Callable[[], bool] | None = None, timeout: float = 0.05) -> bool:
         """Receive until `ready` or `timeout` [s]; keeps up the house meanwhile. See `Bus.poll`."""

@@ -14,7 +14,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     """Add `topic` and its verbs."""
     from .observe import add_source_arguments
 
-    parser = subparsers.add_parser("topic", help="look at topics: list, info, schema, echo, hz, bw, delay")
+    parser = subparsers.add_parser("topic", help="topics: list, info, schema, echo, hz, bw, delay, pub")
     verbs = parser.add_subparsers(required=True, dest="verb", metavar="VERB")
 
     def verb(name: str, text: str, *, topic: bool = True, log: bool = False, remote: bool = False) -> Any:
@@ -42,6 +42,12 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         sub = verb(name, text, remote=name != "delay")
         sub.add_argument("--window", type=float, default=10.0, metavar="S", help="look back so long")
         sub.add_argument("--count", type=int, metavar="N", help="so many reports, one a second")
+    sub = verb("pub", "hand a message to all nodes that listen to a topic")
+    sub.add_argument("values", help="its fields as YAML or JSON, arrays as lists; - reads them from stdin")
+    sub.add_argument("--rate", type=float, metavar="HZ", help="again and again, per second of wall time")
+    sub.add_argument(
+        "--count", type=int, metavar="N", help="so many times (default: once, with --rate always)"
+    )
     parser.set_defaults(run=run)
 
 
@@ -55,6 +61,10 @@ def run(args: argparse.Namespace) -> int:
         from .topic_rates import rates
 
         return rates(args)
+    if args.verb == "pub":
+        from .topic_pub import pub
+
+        return pub(args)
     if args.verb == "schema":
         return _schema(args)
     if args.log:
