@@ -32,7 +32,7 @@ class Guidance:
         inner_steps: Steps per denoising step in mode `direct`.
         limit: Longest step of one sample's actions, root mean square over the horizon, in standard
             deviations.
-        polish: More steps of mode `direct` for the chosen samples, at the end.
+        polish: More steps for the chosen samples at the end, in mode `direct`.
         speeds: Guided futures keep between these speeds [m/s]: nobody is made to walk backwards or to race.
     """
 

@@ -94,12 +94,16 @@ class TracePlanner:
         guidance: How objectives bend them.
     """
 
+    polishes = False
+    """Whether chosen samples may get the last steps of mode `direct`."""
+
     def __init__(self, trace: Trace, sampling: Sampling | None = None, guidance: Guidance | None = None):
         self.trace, self.config = trace, trace.config
         self.schedule = CosineSchedule(trace.config.diffusion_steps)
         self.sampling, self.guidance = sampling or Sampling(), guidance or Guidance()
         if self.sampling.reduced:
             self.trace = trace.reduced()
+        self.polishes = self.guidance.mode == "direct" and self.guidance.polish > 0
 
     @classmethod
     def load(
@@ -183,7 +187,7 @@ class TracePlanner:
         rows = torch.arange(len(context))
         future, losses = _judge(actions, future_of, objectives)
         chosen = choose_samples(losses, objectives) if objectives else torch.zeros_like(rows)
-        if objectives and self.guidance.polish:
+        if objectives and self.polishes:
             best = self._polish(actions[rows, chosen][:, None], context, future_of, objectives)
             actions[rows, chosen] = best[:, 0]
             better, best_losses = _judge(best, future_of, objectives)
@@ -247,7 +251,7 @@ class TracePlanner:
         self, best: Tensor, context: Context, future_of: FutureOf, objectives: Sequence[Objective]
     ) -> Tensor:
         """The chosen samples (A, 1, horizon, 2) after more steps towards what is asked."""
-        guidance = replace(self.guidance, scale="polyak", inner_steps=self.guidance.polish)
+        guidance = replace(self.guidance, inner_steps=self.guidance.polish)
         best = guide_direct(best, future_of, objectives, guidance, torch.zeros(()))
         return self._within_speeds(best, context.speed)
 

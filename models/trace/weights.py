@@ -55,9 +55,23 @@ def load_model(path: Path) -> tuple[Trace, dict[str, Any]]:
     tensors, facts = load_tensors(path)
     try:
         model = Trace(TraceConfig.from_dict(facts["config"]))
-        model.load_state_dict(tensors)
-    except (KeyError, RuntimeError, ValueError) as error:
-        raise WeightsError(f"{path} does not fit its own configuration: {error}") from error
+    except (KeyError, TypeError, RuntimeError, ValueError) as error:
+        raise WeightsError(f"{path} has no TRACE configuration: {error}") from error
+    if fault := _misfit(tensors, model.state_dict()):
+        name = model.config.name
+        raise WeightsError(f"{path} does not fit its own configuration {name!r}: {fault}")
+    model.load_state_dict(tensors)
     for parameter in model.parameters():
         parameter.requires_grad_(False)
     return model.eval().to(torch.float32), facts
+
+
+def _misfit(tensors: dict[str, Tensor], wanted: dict[str, Tensor]) -> str | None:
+    """The first difference between the tensors there are and those a model has."""
+    for name, tensor in wanted.items():
+        if name not in tensors:
+            return f"it lacks {name}"
+        if tensors[name].shape != tensor.shape:
+            return f"{name} is {tuple(tensors[name].shape)}, must be {tuple(tensor.shape)}"
+    extra = sorted(tensors.keys() - wanted.keys())
+    return f"{extra[0]} has no place in it" if extra else None
