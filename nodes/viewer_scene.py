@@ -112,6 +112,10 @@ class Scene:
                 self._draw_contacts(picture)
         picture.changed = set()
 
+    def move(self, offset: tuple[float, float]) -> None:
+        """Draw everything so far from where it is, world x, y [m]."""
+        self._frame.position = (*offset, 0.0)
+
     def remove(self) -> None:
         """Take everything away."""
         self._frame.remove()

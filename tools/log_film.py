@@ -1,9 +1,10 @@
-"""`footfall log film`: the MuJoCo scene of a log as an MP4."""
+"""`footfall log film`: the MuJoCo scene of a log as an MP4 or a GIF."""
 
 import argparse
 import re
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 
@@ -12,10 +13,18 @@ import numpy as np
 from ..messages.body import Bodies, BodyStates
 from ..messages.config import ConfigError
 from ..messages.log import LogError, LogReader
-from ..messages.map import SemanticMap
-from ..messages.topics import BODIES, BODY_STATES, MAP
-from .log_plot import LAYER_COLOURS
+from ..messages.map import HeightField, SemanticMap
+from ..messages.objectives import Objectives, Waypoint
+from ..messages.plan import PLAN_DT, Plans
+from ..messages.topics import BODIES, BODY_STATES, MAP, OBJECTIVES, PLANS
+from ..nodes.viewer_ground import paint
+from ..nodes.viewer_people import colour_of
+from ..nodes.viewer_picture import heights_at
 
+PLAN_STRIDE = 4
+"""Every so many points of a plan are drawn."""
+PIN = np.array([0.0, 0.0, 0.9])
+"""What stands at a waypoint [m]."""
 CAMERAS = ("street", "top", "follow")
 
 
@@ -29,13 +38,14 @@ def film(
     duration: float | None = None,
     follow: int | None = None,
     shadows: bool = True,
+    plans: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Render the body states of a log; returns the film's path.
 
     Args:
         log_path: The log; needs the topics map, bodies and body_states.
-        out_path: MP4 to write.
+        out_path: MP4 or GIF to write.
         camera: `street` (from a corner, at an angle), `top`, or `follow` (behind one person).
         size: Width and height in pixels, both even.
         rate_hz: Frames per simulated second.
@@ -43,6 +53,7 @@ def film(
         duration: Simulated seconds; None for all.
         follow: Whom to follow; None for who is there longest.
         shadows: Whether the sun casts shadows; without a GPU they double the time.
+        plans: Whether plans and waypoints are drawn.
         progress: Called with frames done and frames in all.
 
     Raises:
@@ -54,7 +65,7 @@ def film(
     from ..models.render.video import write_video
     from ..models.scene import Obstacle, Terrain
 
-    place, bodies, states = read_film(log_path, start, duration, rate_hz)
+    place, bodies, states, overlays = read_film(log_path, start, duration, rate_hz)
     terrain = place.terrain
     with CrowdRenderer(
         [describe(shape) for shape in bodies.shapes.astype(np.float64)],
@@ -69,19 +80,32 @@ def film(
         rows = {agent: row for row, agent in enumerate(bodies.ids.tolist())}
 
         def frames() -> Iterator[np.ndarray]:
-            for state in states:
+            for state, overlay in zip(states, overlays, strict=True):
                 agents = [rows[agent] for agent in state.ids.tolist()]
-                yield renderer.render(state.joints[..., :7], viewpoint(camera, place, state, whom), agents)
+                strokes = strokes_of(overlay, state, terrain) if plans else []
+                yield renderer.render(
+                    state.joints[..., :7], viewpoint(camera, place, state, whom), agents, strokes
+                )
 
         done = (lambda count: progress(count, len(states))) if progress else None
         write_video(out_path, frames(), rate_hz, done)
     return Path(out_path)
 
 
+@dataclass(frozen=True)
+class Overlay:
+    """What a frame shows beside the people."""
+
+    age: float
+    """Of the plans [s]."""
+    plans: Plans | None
+    objectives: Objectives
+
+
 def read_film(
     log_path: str | Path, start: float, duration: float | None, rate_hz: int
-) -> tuple[SemanticMap, Bodies, list[BodyStates]]:
-    """Map, bodies, and one body state a frame."""
+) -> tuple[SemanticMap, Bodies, list[BodyStates], list[Overlay]]:
+    """Map, bodies, and one body state and one overlay a frame."""
     reader = LogReader(log_path)
     missing = [topic.name for topic in (MAP, BODIES, BODY_STATES) if topic.name not in reader.topics]
     if missing:
@@ -90,12 +114,50 @@ def read_film(
     bodies = next(iter(reader.read(BODIES))).message
     end = None if duration is None else round((start + duration) * 1e9) + 1
     states: list[BodyStates] = []
-    for item in reader.read(BODY_STATES, start_ns=round(start * 1e9), end_ns=end):
-        if (item.stamp_ns * 1e-9 - start) * rate_hz >= len(states) - 1e-6:
-            states.append(item.message)
+    overlays: list[Overlay] = []
+    plans, plans_ns, objectives = None, 0, Objectives()
+    wanted = {topic.name for topic in (BODY_STATES, PLANS, OBJECTIVES)} & set(reader.topics)
+    for item in reader.messages(wanted, end_ns=end):
+        time = item.stamp_ns * 1e-9
+        match item.topic:
+            case PLANS.name:
+                plans, plans_ns = item.message, item.stamp_ns
+            case OBJECTIVES.name:
+                objectives = item.message
+            case _ if time >= start - 1e-9 and (time - start) * rate_hz >= len(states) - 1e-6:
+                states.append(item.message)
+                overlays.append(Overlay((item.stamp_ns - plans_ns) * 1e-9, plans, objectives))
     if not any(len(state.ids) for state in states):
         raise LogError(f"{log_path}: nobody is there from {start:g} s on")
-    return place, bodies, states
+    return place, bodies, states, overlays
+
+
+def strokes_of(overlay: Overlay, state: BodyStates, ground: HeightField | None):
+    """The chosen plans from where people are, and pins at their waypoints, in the colours of their shirts."""
+    from ..models.render.renderer import Stroke
+
+    def lifted(xy: np.ndarray, above: float) -> np.ndarray:
+        height = np.zeros(len(xy)) if ground is None else heights_at(ground, xy)
+        return np.column_stack([xy, height + above])
+
+    def colour(agent: int) -> tuple[float, float, float]:
+        return tuple((colour_of(agent) / 255).tolist())
+
+    where = dict(zip(state.ids.tolist(), state.positions[:, 0, :2].astype(np.float64), strict=True))
+    strokes = []
+    if (plans := overlay.plans) is not None:
+        first = round(overlay.age / PLAN_DT)
+        for row, agent in enumerate(plans.ids.tolist()):
+            way = plans.positions[row, plans.chosen[row], first::PLAN_STRIDE].astype(np.float64)
+            if agent in where and len(way):
+                points = lifted(np.concatenate([where[agent][None], way]), 0.03)
+                strokes.append(Stroke(points, colour(agent), 0.035))
+    for wishes in overlay.objectives.agents:
+        for wish in wishes.objectives:
+            if isinstance(wish, Waypoint) and wishes.id in where:
+                foot = lifted(np.array([wish.position], dtype=np.float64), 0.0)[0]
+                strokes.append(Stroke(np.array([foot, foot + PIN]), colour(wishes.id), 0.05))
+    return strokes
 
 
 def viewpoint(camera: str, place: SemanticMap, state: BodyStates, whom: int):
@@ -110,7 +172,7 @@ def viewpoint(camera: str, place: SemanticMap, state: BodyStates, whom: int):
     row = np.flatnonzero(state.ids == whom)
     if camera == "follow" and len(row):
         return Camera.follow(state.joints[row[0], 0, :7])
-    return Camera((float(centre[0]), float(centre[1]), 0.0), 0.8 * max(width, height), 55.0, -32.0)
+    return Camera((float(centre[0]), float(centre[1]), 0.0), 0.55 * max(width, height), 82.0, -22.0)
 
 
 def most_present(states: list[BodyStates]) -> int:
@@ -123,16 +185,8 @@ def painted_ground(place: SemanticMap):
     """The raster layers as a picture on the ground."""
     from ..models.render.renderer import GroundPicture
 
-    image = np.full((*place.raster.shape[1:], 3), _rgb("#a9a6a0"), np.uint8)
-    layers = dict(zip(place.layers, place.raster, strict=True))
-    for name, colour in LAYER_COLOURS.items():
-        if name in layers:
-            image[layers[name] > 0] = _rgb(colour)
-    return GroundPicture(image, place.resolution, place.origin)
-
-
-def _rgb(colour: str) -> tuple[int, ...]:
-    return tuple(int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    times = max(1, min(6, 2400 // max(place.raster.shape[1:])))
+    return GroundPicture(paint(place, times), place.resolution / times, place.origin)
 
 
 def size_of(text: str) -> tuple[int, int]:
@@ -150,7 +204,7 @@ def size_of(text: str) -> tuple[int, int]:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `footfall log film`."""
     parser.add_argument("log", help="recorded run (.mcap)")
-    parser.add_argument("-o", "--out", help="film (default: the log's name with .mp4)")
+    parser.add_argument("-o", "--out", help="film, .mp4 or .gif (default: the log's name with .mp4)")
     parser.add_argument("--camera", choices=CAMERAS, default="street")
     parser.add_argument("--size", type=size_of, default=(960, 540), help="WIDTHxHEIGHT (default 960x540)")
     parser.add_argument("--fps", type=int, default=15, help="frames per simulated second (default 15)")
@@ -158,6 +212,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, metavar="S")
     parser.add_argument("--follow", type=int, metavar="ID", help="whom to follow with --camera follow")
     parser.add_argument("--no-shadows", action="store_true", help="half the time without a GPU")
+    parser.add_argument("--no-plans", action="store_true", help="people alone, without plans and waypoints")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -175,6 +230,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.duration,
         arguments.follow,
         not arguments.no_shadows,
+        not arguments.no_plans,
         progress_line(),
     )
     print(out)

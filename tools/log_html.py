@@ -202,7 +202,8 @@ def _place(place: SemanticMap) -> dict[str, Any]:
         "name": place.name,
         "origin": list(place.origin),
         "size": [columns * place.resolution, rows * place.resolution],
-        "picture": "data:image/png;base64," + base64.b64encode(png(paint(place)[::-1])).decode(),
+        "picture": "data:image/png;base64,"
+        + base64.b64encode(png(paint(place, 2, grain=False)[::-1])).decode(),
         "terrain": None
         if ground is None
         else {"origin": list(ground.origin), "resolution": ground.resolution, "shape": ground.heights.shape},

@@ -1,45 +1,59 @@
-"""`footfall view`: recorded runs in a browser, to scrub, play and compare."""
+"""`footfall view`: recorded runs, rollouts and motions in a browser, to scrub, play and compare."""
 
 import argparse
 import secrets
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from time import monotonic, sleep
+from time import monotonic
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..messages.config import ConfigError
+from .view_time_line import TimeBar, TimeLine, play
 
 if TYPE_CHECKING:
     import viser
 
     from ..nodes.viewer_scene import Scene
+    from .view_motion import MotionViewer
 
-FRAME_RATE_HZ = 20
-"""Pictures a second."""
 READOUT_PERIOD = 0.3
 """Wall time between updates of the read-outs [s]."""
 TINTS = (np.array([46, 110, 190], np.uint8), np.array([222, 122, 30], np.uint8))
 """Colours of two runs that are compared."""
 BESIDE_GAP = 4.0
 """Gap between two runs side by side [m]."""
-BUTTONS = ("Start", "Back", "Play / pause", "On")
-SPEEDS: tuple[str, ...] = ("0.25", "0.5", "1", "2", "4", "8")
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add `view` to the command line."""
     parser = subparsers.add_parser(
         "view",
-        help="look at recorded runs in a browser",
-        description="Show one log, or two to compare, in a browser. Ctrl-C ends it.",
+        help="look at recorded runs and motions in a browser",
+        description="Show one log, or two to compare, in a browser; or a policy's rollout; or a motion (BVH,"
+        " AMC, DeepMimic's JSON, AMASS, a motion library) beside what our body makes of it. Ctrl-C ends it.",
     )
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="one log, or two to compare")
+    parser.add_argument(
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="a log, two logs to compare, a rollout or a motion",
+    )
     parser.add_argument("--beside", action="store_true", help="two logs side by side instead of overlaid")
     parser.add_argument("--start", type=float, metavar="S", help="simulation time to begin at [s]")
     parser.add_argument("--play", action="store_true", help="begin playing at once")
     parser.add_argument("--loop", action="store_true", help="begin anew at the end")
+    motion = parser.add_argument_group("motions")
+    motion.add_argument("--clip", metavar="NAME", help="which of several to begin with")
+    motion.add_argument("--asf", type=Path, help="skeleton of an AMC (default: the one beside it)")
+    motion.add_argument(
+        "--unit", type=float, metavar="M", help="metres per unit of a BVH (default: by its size)"
+    )
+    motion.add_argument(
+        "--fps", type=float, default=0.0, help="of a BVH or AMC whose own is missing or wrong"
+    )
     add_address(parser)
 
 
@@ -64,21 +78,22 @@ def token_for(host: str, token: str | None) -> str | None:
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted."""
     from ..nodes.viewer_server import Window
+    from .motion_take import MOTION_FILES
 
-    if len(args.logs) > 2:
-        raise ConfigError(f"{len(args.logs)} logs: one can be shown, or two compared")
+    motions = [path for path in args.files if path.suffix.lower() in MOTION_FILES]
+    if len(args.files) > 2 or (motions and len(args.files) > 1):
+        what = "one motion is shown at a time" if motions else "one log can be shown, or two compared"
+        raise ConfigError(f"{len(args.files)} files: {what}")
     window = None
     try:
-        from .view_log import LogPictures
-
-        runs = [LogPictures(path) for path in args.logs]
-        title = " and ".join(path.name for path in args.logs)
+        title = " and ".join(path.name for path in args.files)
+        opener = _read(args, bool(motions))
         window = Window(args.host, args.port, title, token_for(args.host, args.token))
-        viewer = LogViewer(window.server, runs, args.beside)
-        viewer.time_line.seek(args.start if args.start is not None else viewer.start)
-        viewer.time_line.playing = args.play
-        viewer.time_line.loop = args.loop
-        print(f"{title}: {viewer.start:g} to {viewer.end:g} s, open {window.url}", flush=True)
+        viewer = opener(window.server)
+        line = viewer.time_line
+        line.seek(args.start if args.start is not None else line.start)
+        line.playing, line.loop = args.play, args.loop
+        print(f"{title}: {line.start:g} to {line.end:g} s, open {window.url}", flush=True)
         viewer.run()
     finally:
         if window is not None:
@@ -86,38 +101,26 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-class TimeLine:
-    """Where in the run one is: play, pause, scrub, loop.
+def _read(
+    args: argparse.Namespace, motion: bool
+) -> "Callable[[viser.ViserServer], LogViewer | MotionViewer]":
+    """Read the files, and say how to show them."""
+    from .view_motion import MotionViewer
 
-    Args:
-        start: First simulation time [s].
-        end: Last simulation time [s].
-    """
+    if motion:
+        from .motion_take import read_takes
 
-    def __init__(self, start: float, end: float) -> None:
-        self.start, self.end = start, max(end, start)
-        self.time = start
-        self.playing = False
-        self.loop = False
-        self.speed = 1.0
+        takes = read_takes(args.files[0], args.asf, args.unit, args.fps)
+        return lambda server: MotionViewer(server, takes, args.clip)
+    from ..messages.log import LogReader
+    from .rollout_log import is_rollout, read_rollout
+    from .view_log import LogPictures
 
-    def seek(self, time: float) -> None:
-        """Go to a time [s], or to the nearest there is."""
-        self.time = min(max(time, self.start), self.end)
-
-    def advance(self, wall: float) -> None:
-        """Let wall time pass [s]."""
-        if not self.playing:
-            return
-        time = self.time + wall * self.speed
-        if time < self.end:
-            self.time = time
-        elif self.loop:
-            length = self.end - self.start
-            self.time = self.start + ((time - self.start) % length if length > 0 else 0.0)
-        else:
-            self.time = self.end
-            self.playing = False
+    if len(args.files) == 1 and is_rollout(LogReader(args.files[0])):
+        takes = read_rollout(args.files[0])
+        return lambda server: MotionViewer(server, takes, args.clip)
+    runs = [LogPictures(path) for path in args.files]
+    return lambda server: LogViewer(server, runs, args.beside)
 
 
 class LogViewer:
@@ -133,7 +136,7 @@ class LogViewer:
         self.end = max(run.end for run in runs)
         self.time_line = TimeLine(self.start, self.end)
         self.server = server
-        self._add_time_line()
+        self._bar = TimeBar(server, self.time_line)
         self.scenes = self._scenes(beside)
         self.panels = Panels(server, self.scenes)
         self._clicks = Clicks(server, lambda: self.runs[0].picture, self.panels.select)
@@ -153,47 +156,9 @@ class LogViewer:
             Scene(self.server, "/second", None if beside else TINTS[1], (shift, 0.0), ground=beside),
         ]
 
-    def _add_time_line(self) -> None:
-        gui, line = self.server.gui, self.time_line
-        span = max(self.end - self.start, 0.01)
-        self._slider = gui.add_slider(
-            "Time [s]", self.start, self.start + span, round(span / 2000, 3) or 0.001, self.start
-        )
-        self._buttons = gui.add_button_group("", BUTTONS)
-        self._speed = gui.add_dropdown("Speed", SPEEDS, initial_value="1")
-        self._loop = gui.add_checkbox("Loop", False)
-        self._loop.on_update(lambda _: setattr(line, "loop", self._loop.value))
-        self._speed.on_update(lambda _: setattr(line, "speed", float(self._speed.value)))
-
-        @self._slider.on_update
-        def _(event: "viser.GuiEvent") -> None:
-            if event.client is not None:
-                line.seek(self._slider.value)
-
-        @self._buttons.on_click
-        def _(event: "viser.GuiEvent") -> None:
-            match self._buttons.value:
-                case "Start":
-                    line.seek(line.start)
-                case "Back":
-                    line.seek(line.time - 0.1)
-                case "On":
-                    line.seek(line.time + 0.1)
-                case _:
-                    if not line.playing and line.time >= line.end:
-                        line.seek(line.start)
-                    line.playing = not line.playing
-
     def run(self) -> None:
         """Show, until interrupted."""
-        self._loop.value = self.time_line.loop
-        last = monotonic()
-        while True:
-            begin = monotonic()
-            self.time_line.advance(begin - last)
-            last = begin
-            self.refresh()
-            sleep(max(0.0, 1 / FRAME_RATE_HZ - (monotonic() - begin)))
+        play(self.time_line, self.refresh)
 
     def refresh(self) -> None:
         """Show the moment the time line is at."""
@@ -202,8 +167,7 @@ class LogViewer:
         pictures = [run.show(time) for run in self.runs]
         for scene, picture in zip(self.scenes, pictures, strict=True):
             scene.draw(picture, everything)
-        if abs(self._slider.value - time) > self._slider.step:
-            self._slider.value = time
+        self._bar.update()
         self.panels.steer_camera(pictures[0])
         now = monotonic()
         if everything or now - getattr(self, "_read_out", 0.0) > READOUT_PERIOD:

@@ -31,7 +31,8 @@ def paint(
     """Paint the ground.
 
     Args:
-        layers: raster (H, W) by name, not zero where the layer is; others than `LAYER_COLOURS` are left out.
+        layers: raster (H, W) by name, not zero where the layer is; at least one; others than `LAYER_COLOURS` are left
+            out.
         resolution: m per cell.
         times: pixels per cell; more than one rounds the edges of cells.
         grain: whether surfaces show their material; a picture without it packs into far fewer bytes.
@@ -40,9 +41,7 @@ def paint(
         (times H, times W, 3) sRGB; rows and columns in the order of the rasters.
     """
     masks = {name: np.asarray(layers[name]) > 0 for name in LAYER_COLOURS if name in layers}
-    if not masks:
-        raise ValueError(f"there is no layer to paint; known are {', '.join(LAYER_COLOURS)}")
-    rows, columns = (times * side for side in next(iter(masks.values())).shape)
+    rows, columns = (times * side for side in np.shape(next(iter(layers.values()))))
     image = np.full((rows, columns, 3), BARE, dtype=np.float32)
     speckle = _speckle(rows, columns) if grain else None
     joints = _joints(rows, columns, _SLAB * times / resolution) if grain else None
@@ -66,14 +65,14 @@ def _cover(mask: NDArray[np.bool_], times: int) -> NDArray[np.float32]:
         return fine
     for _ in range(2):
         fine = _blurred(_blurred(fine, times).T, times).T
-    return np.clip((fine - 0.5) * times + 0.5, 0, 1)
+    return np.clip((fine - 0.5) * times + 0.5, 0, 1, dtype=np.float32)
 
 
 def _blurred(image: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
     """Means over 2 `reach` + 1 rows, at the rim over those there are."""
     padded = np.pad(image, ((reach + 1, reach), (0, 0)), mode="edge")
     total = padded.cumsum(axis=0, dtype=np.float32)
-    return (total[2 * reach + 1 :] - total[: -2 * reach - 1]) / (2 * reach + 1)
+    return (total[2 * reach + 1 :] - total[: -2 * reach - 1]) * np.float32(1 / (2 * reach + 1))
 
 
 def _speckle(rows: int, columns: int) -> NDArray[np.float32]:

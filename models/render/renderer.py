@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -12,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..body.body import Body
 from ..body.skeleton import N_BODIES
-from ..world.stage import add_ground, add_obstacles
-from .camera import FIELD_OF_VIEW_DEG, Camera
+from .camera import Camera
 from .gl import RenderError, create_context, find_gl_backend
 from .looks import Colour, dress
+from .scenery import CROWN_GROUP, PEOPLE_GROUP, SUN, GroundPicture, stage
 
 if TYPE_CHECKING:
     from ..scene.scene import Obstacle, Terrain
@@ -23,25 +24,27 @@ if TYPE_CHECKING:
 # pyright: reportAttributeAccessIssue=false
 # (mujoco names most of its classes at run time only)
 
-__all__ = ["Camera", "CrowdRenderer", "GroundPicture", "RenderError", "find_gl_backend"]
+__all__ = ["Camera", "CrowdRenderer", "GroundPicture", "RenderError", "Stroke", "find_gl_backend"]
 
 _AWAY = (0.0, 0.0, -50.0)  # m; where people who are not drawn wait
 _MAX_GEOMS = 40_000
-_PEOPLE_GROUP = 1
+_NEAR, _STEEP, _OPENED = (
+    0.75,
+    -60.0,
+    0.3,
+)  # share of the camera's distance; deg; opacity of crowns before people
 _STAGE_ONLY = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)  # geom groups
-_SUN = np.array([-0.45, -0.35, -1.0])  # direction of its light
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GroundPicture:
-    """A picture painted on flat ground."""
+class Stroke:
+    """A line through points, as round as a rope."""
 
-    pixels: NDArray[np.uint8]
-    """(H, W, 3); row 0 has the smallest y, column 0 the smallest x."""
-    resolution: float
-    """m per pixel."""
-    origin: tuple[float, float]
-    """World x, y (m) of the picture's corner of smallest x and y."""
+    points: NDArray[np.float64]
+    """(K, 3) m, world."""
+    colour: Colour
+    radius: float = 0.03
+    """m"""
 
 
 class CrowdRenderer:
@@ -79,11 +82,12 @@ class CrowdRenderer:
         shirts: Sequence[Colour] | None = None,
         ground: GroundPicture | None = None,
     ):
-        spec = _stage(obstacles, terrain, ground, (width, height), antialias)
+        spec = stage(obstacles, terrain, ground, (width, height), antialias)
         for i, body in enumerate(bodies):
             _add_person(spec, body, i, None if shirts is None else shirts[i])
         self.model: mujoco.MjModel = spec.compile()
         self.data = mujoco.MjData(self.model)
+        self._crowns = np.flatnonzero(self.model.geom_group == CROWN_GROUP)
         self._poses = (
             self.data.mocap_pos.reshape(len(bodies), N_BODIES, 3),
             self.data.mocap_quat.reshape(len(bodies), N_BODIES, 4),
@@ -97,7 +101,13 @@ class CrowdRenderer:
         self._scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = True
         self._size = (width, height)
 
-    def render(self, poses: ArrayLike, camera: Camera, agents: ArrayLike | None = None) -> NDArray[np.uint8]:
+    def render(
+        self,
+        poses: ArrayLike,
+        camera: Camera,
+        agents: ArrayLike | None = None,
+        strokes: Sequence[Stroke] = (),
+    ) -> NDArray[np.uint8]:
         """Draw one picture.
 
         Args:
@@ -105,6 +115,7 @@ class CrowdRenderer:
                 `World.joint_states` and of logged states serve as they are.
             camera: where from.
             agents: (n,) whose poses these are; 0 to n-1 when left out. Nobody else is drawn.
+            strokes: lines drawn into the scene.
 
         Returns:
             (height, width, 3) sRGB.
@@ -119,7 +130,8 @@ class CrowdRenderer:
         self._poses[0][:] = _AWAY
         self._poses[0][ids] = poses[..., :3]
         self._poses[1][ids] = poses[..., 3:7]
-        self.model.light_pos[0] = np.array(camera.target) - 20 * _SUN  # shadows are sharp where one looks
+        self.model.light_pos[0] = np.array(camera.target) - 20 * SUN  # shadows are sharp where one looks
+        self._open_crowns(camera)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
 
@@ -130,11 +142,36 @@ class CrowdRenderer:
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         self._gl.make_current()
         mujoco.mjv_updateScene(self.model, self.data, mujoco.MjvOption(), None, view, everything, self._scene)
+        for stroke in strokes:
+            self._draw_stroke(stroke)
         frame = mujoco.MjrRect(0, 0, *self._size)
         mujoco.mjr_render(frame, self._scene, self._context)
         pixels = np.empty((self._size[1], self._size[0], 3), dtype=np.uint8)
         mujoco.mjr_readPixels(pixels, None, frame, self._context)
         return pixels[::-1]
+
+    def _open_crowns(self, camera: Camera) -> None:
+        """Make crowns of trees see-through where somebody may be behind them."""
+        eye = np.array(camera.target) - camera.distance * np.array(camera.forward)
+        places = self.model.geom_pos[self._crowns]
+        near = np.linalg.norm(places - eye, axis=1) < _NEAR * camera.distance
+        before = near | (camera.elevation_deg < _STEEP)
+        self.model.geom_rgba[self._crowns, 3] = np.where(before, _OPENED, 1.0)
+
+    def _draw_stroke(self, stroke: Stroke) -> None:
+        """Add one geom a segment; what finds no room is left out."""
+        colour = np.array([*stroke.colour, 1.0], dtype=np.float32)
+        points = np.asarray(stroke.points, dtype=np.float64)
+        for start, end in pairwise(points):
+            if self._scene.ngeom >= self._scene.maxgeom:
+                return
+            geom = self._scene.geoms[self._scene.ngeom]
+            mujoco.mjv_initGeom(
+                geom, mujoco.mjtGeom.mjGEOM_CAPSULE, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour
+            )
+            mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, stroke.radius, start, end)
+            geom.emission = 0.35
+            self._scene.ngeom += 1
 
     def _free_distance(self, camera: Camera) -> float:
         """Distance at which nothing of the stage stands between the target and the camera."""
@@ -162,96 +199,6 @@ class CrowdRenderer:
         self.close()
 
 
-def _stage(
-    obstacles: Sequence[Obstacle],
-    terrain: Terrain | None,
-    picture: GroundPicture | None,
-    size: tuple[int, int],
-    antialias: bool,
-) -> mujoco.MjSpec:
-    spec = mujoco.MjSpec()
-    spec.compiler.degree = False
-    visual = spec.visual
-    visual.global_.offwidth, visual.global_.offheight = size
-    visual.global_.fovy = FIELD_OF_VIEW_DEG
-    visual.quality.shadowsize = 4096
-    visual.quality.offsamples = 4 if antialias else 0
-    visual.headlight.ambient = [0.42, 0.43, 0.46]
-    visual.headlight.diffuse = [0.22, 0.22, 0.22]
-    visual.headlight.specular = [0.0, 0.0, 0.0]
-    visual.rgba.haze = [0.80, 0.87, 0.93, 1.0]
-    visual.map.znear, visual.map.zfar = 0.01, 20  # in units of the extent
-    visual.map.shadowclip = 3.0  # smaller speckles what is nearest the sun
-    spec.stat.extent, spec.stat.center = 12.0, [0.0, 0.0, 1.0]
-    spec.worldbody.add_light(
-        name="sun",
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        dir=_SUN,
-        pos=-20 * _SUN,
-        castshadow=True,
-        diffuse=[0.62, 0.60, 0.55],
-        specular=[0.1, 0.1, 0.1],
-    )
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.80, 0.87, 0.93],
-        rgb2=[0.45, 0.62, 0.82],
-        width=64,
-        height=384,
-    )
-    ground = add_ground(spec, terrain)
-    ground.material = _paving(spec)
-    ground.castshadow = False  # it would speckle itself
-    if picture is not None and terrain is None:
-        ground.pos = [0.0, 0.0, -0.02]  # below the picture
-        _paint(spec, picture)
-    for geoms in add_obstacles(spec, obstacles, terrain):
-        for geom in geoms:
-            geom.rgba = [0.74, 0.71, 0.66, 1.0]
-    return spec
-
-
-def _paving(spec: mujoco.MjSpec) -> str:
-    spec.add_texture(
-        name="paving",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        mark=mujoco.mjtMark.mjMARK_EDGE,
-        rgb1=[0.62, 0.62, 0.61],
-        rgb2=[0.66, 0.66, 0.65],
-        markrgb=[0.55, 0.55, 0.54],
-        width=512,
-        height=512,
-    )
-    paving = spec.add_material(name="paving", texrepeat=[1.0, 1.0], texuniform=True)  # tiles of 1 m
-    paving.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "paving"
-    return "paving"
-
-
-def _paint(spec: mujoco.MjSpec, picture: GroundPicture) -> None:
-    height, width = picture.pixels.shape[:2]
-    texture = spec.add_texture(
-        name="picture", type=mujoco.mjtTexture.mjTEXTURE_2D, width=width, height=height
-    )
-    texture.nchannel = 3
-    texture.data = picture.pixels[::-1].tobytes()  # textures start at the far edge
-    material = spec.add_material(name="picture")
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "picture"
-    half = 0.5 * picture.resolution * np.array([width, height])
-    spec.worldbody.add_geom(
-        name="picture",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[*half, 1.0],
-        pos=[*(np.asarray(picture.origin) + half), 0.0],
-        material="picture",
-        castshadow=False,
-        contype=0,
-        conaffinity=0,
-    )
-
-
 def _add_person(spec: mujoco.MjSpec, body: Body, agent: int, shirt: Colour | None) -> None:
     parts = [spec.worldbody.add_body(mocap=True, pos=_AWAY) for _ in range(N_BODIES)]
     for k, piece in enumerate(dress(body, agent, shirt)):
@@ -261,7 +208,7 @@ def _add_person(spec: mujoco.MjSpec, body: Body, agent: int, shirt: Colour | Non
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=name,
             rgba=[*piece.colour, 1.0],
-            group=_PEOPLE_GROUP,
+            group=PEOPLE_GROUP,
             contype=0,
             conaffinity=0,
         )

@@ -9,7 +9,7 @@ from footfall.messages.map import Obstacle
 from footfall.messages.topics import BODIES
 from footfall.models.body import describe
 from footfall.models.render.convex_hull import convex_hull
-from footfall.models.render.ground_paint import LAYER_COLOURS
+from footfall.models.render.ground_paint import BARE, LAYER_COLOURS
 from footfall.models.render.ground_paint import paint as paint_layers
 from footfall.models.render.looks import dress
 from footfall.models.render.street import PLAIN, colour_of_obstacle, crown
@@ -115,13 +115,12 @@ def test_painted_edges_are_smooth_and_stay_where_they_were():
     assert np.abs(cover - true).mean() < 0.6 * np.abs(nearest - true).mean()  # than the cells' steps
 
 
-def test_grain_keeps_the_mean_colour_and_unknown_layers_are_refused():
+def test_grain_keeps_the_mean_colour_and_unknown_layers_are_left_out():
     layers = {"road": np.ones((60, 60))}
     picture = paint_layers(layers, 0.1, 4)
     assert picture.reshape(-1, 3).mean(axis=0) == pytest.approx(LAYER_COLOURS["road"], abs=4)
     assert picture.std() > 1
-    with pytest.raises(ValueError, match="no layer to paint"):
-        paint_layers({"lava": np.ones((3, 3))}, 0.1)
+    assert (paint_layers({"lava": np.ones((3, 4))}, 0.1, 2) == BARE).all()
 
 
 def test_obstacles_look_like_what_they_are_called():
