@@ -1,47 +1,77 @@
 """Plans where everybody walks in the next five seconds.
 
 In: map, bodies, objectives, agents (10 Hz, causes a step). Out: plans, at `rate_hz`.
-Methods: `orca` (reciprocal collision avoidance along the shortest way), `constant_velocity` (the baseline).
+Methods: `trace` (guided trajectory diffusion), `orca` (reciprocal collision avoidance along the shortest way),
+`constant_velocity` (the baseline).
 """
 
+import logging
 import sys
 from collections.abc import Iterable
 from time import perf_counter
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, field
 
 from ..messages.agents import AgentStates
-from ..messages.body import Bodies
+from ..messages.config import ConfigError
 from ..messages.map import SemanticMap
-from ..messages.objectives import Objectives, SocialDistance, TargetSpeed, Waypoint
 from ..messages.plan import Plans
 from ..messages.topics import AGENTS, BODIES, MAP, OBJECTIVES, PLANS, Outgoing
-from ..models.crowd.orca_planner import OrcaPlanner, Place
-from ..models.crowd.planning import PLAN_DT, ConstantVelocity, Crowd, Futures, Planner
+from ..models.crowd.orca_planner import OrcaPlanner
+from ..models.crowd.planning import PLAN_DT, ConstantVelocity, Futures, Planner
 from .node import Inbox, Node, NodeConfig
+from .planner_moment import Moment, moment_of, place_of
 from .spin import spin
 
-DEFAULT_SPEED = 1.34
-"""Free walking speed where no objective names one [m/s] (Weidmann 1993)."""
+log = logging.getLogger(__name__)
 
-
-ROAD_COST = 4.0
-"""A metre of road counts as so many metres of pavement for somebody who looks for a way."""
+RATES_HZ = {"trace": 1.0, "orca": 2.0, "constant_velocity": 2.0}
+"""Plans per simulated second where the configuration names no rate; 1 Hz is TRACE's (app. C.2)."""
+SLACK_NS = 1_000_000
+"""A plan may be made so much before its period is over."""
 
 
 class Config(NodeConfig, frozen=True):
     """Which method plans, and how often."""
 
-    method: Literal["orca", "constant_velocity"] = "orca"
-    rate_hz: Annotated[float, Meta(gt=0, le=10)] = 2.0
-    """Plans per simulated second, at most 10; who enters gets a plan at once."""
+    method: Literal["trace", "orca", "constant_velocity"] = "orca"
+    rate_hz: Annotated[float, Meta(gt=0, le=10)] | None = None
+    """Plans per simulated second, at most 10; None for the method's own. Who enters gets a plan at once."""
     stitch: float = 0.15
     """A new plan starts from where the last one has the pedestrian now, if they are that close to it [m];
     so the sway of a walking body does not get into the plans."""
     margin: float = 0.05
     """Added to every body's radius [m]."""
+    samples: Annotated[int, Meta(ge=1, le=200)] = 10
+    """Futures a pedestrian (`trace`)."""
+    steps: Annotated[int, Meta(ge=1, le=100)] = 5
+    """Denoising steps of a first plan; the next ones continue it with fewer (`trace`)."""
+    context_weight: Annotated[float, Meta(ge=-1, le=10)] = 0.0
+    """w of classifier-free sampling (eq 4): above 0 stresses map and neighbours, at twice the time (`trace`)."""
+    guidance: Literal["direct", "clean", "noisy"] = "direct"
+    """Where gradients of the objectives are taken (`trace`)."""
+    weights: str | None = None
+    """File of weights instead of the shipped ones (`trace`)."""
+    objectives: tuple[str, ...] = ()
+    """Python files or modules that register objectives of one's own (`trace`)."""
+    ask: dict[str, dict[str, float]] = field(default_factory=dict)
+    """Registered objectives that everybody is asked, with their parameters and `weight` (`trace`)."""
+    threads: Annotated[int, Meta(ge=1)] = 1
+    """Of the network (`trace`); the same number gives the same bytes."""
+
+
+class Method(Protocol):
+    """A way of planning."""
+
+    def place(self, semantic_map: SemanticMap) -> None:
+        """Take a new map."""
+        ...
+
+    def plan(self, moment: Moment) -> Futures:
+        """The futures of everybody."""
+        ...
 
 
 class PlannerNode(Node[Config]):
@@ -55,107 +85,121 @@ class PlannerNode(Node[Config]):
 
     def __init__(self, config: Config, seed: int = 0) -> None:
         super().__init__(config, seed)
-        self._planner: Planner | None = None
+        self._method = self._make(config)
+        self._placed = False
+        self._radii: dict[int, float] = {}
         self._next_ns = 0
         self._last: Plans | None = None
         self._last_stamp = 0.0
+        self._late = 0
 
     def configure(self, config: Config) -> None:
-        """Change method or rate while running."""
+        """Change method or settings while running."""
+        self._method, self._placed = self._make(config), False
         super().configure(config)
-        self._planner = None
 
     def on_time_jump(self) -> None:
         """Forget the last plan."""
         self._last = None
         self._next_ns = 0
+        self._method, self._placed = self._make(self.config), False
 
     def step(self, inbox: Inbox) -> Iterable[Outgoing]:
         """Plan anew when it is time to."""
-        if inbox.new(MAP) or self._planner is None:
-            self._planner = self._make(inbox.require(MAP))
+        if inbox.new(MAP) or not self._placed:
+            self._look_at(inbox.require(MAP))
+        if inbox.new(BODIES) or not self._radii:
+            bodies = inbox.require(BODIES)
+            self._radii = dict(zip(bodies.ids.tolist(), bodies.radii.astype(float).tolist(), strict=True))
         agents = inbox.require(AGENTS)
         planned = self._last is not None and set(agents.ids.tolist()) <= set(self._last.ids.tolist())
         if planned and inbox.now_ns < self._next_ns:
             return []
-        self._next_ns = inbox.now_ns + round(1e9 / self.config.rate_hz) - 1_000_000
+        period = 1 / (self.config.rate_hz or RATES_HZ[self.config.method])
+        self._next_ns = inbox.now_ns + round(1e9 * period) - SLACK_NS
         begin = perf_counter()
-        crowd = self._crowd(agents, inbox.require(BODIES), inbox.require(OBJECTIVES), inbox.now)
-        futures = self._planner.plan(crowd)
+        starts = self._starts(agents, inbox.now)
+        moment = moment_of(agents, self._radii, inbox.require(OBJECTIVES), inbox.now, starts)
+        futures = self._method.plan(moment)
         plans = message_of(agents.ids, futures, self.config.method, perf_counter() - begin)
         self._last, self._last_stamp = plans, inbox.now
-        self.facts["planning_time"] = plans.planning_time
+        self._late += plans.planning_time > period
+        self.facts |= {"planning_time": plans.planning_time, "late_plans": float(self._late)}
         return [PLANS(plans)]
 
-    def _make(self, semantic_map: SemanticMap) -> Planner:
-        if self.config.method == "constant_velocity":
-            return ConstantVelocity()
-        return OrcaPlanner(place_of(semantic_map))
+    def _look_at(self, semantic_map: SemanticMap) -> None:
+        if not {"walkable", "obstacle"} & set(semantic_map.layers):
+            log.error(
+                "map %r has the layers %s; a planner needs `walkable` or `obstacle`: everything is taken as free",
+                semantic_map.name,
+                ", ".join(semantic_map.layers) or "none",
+            )
+        self._method.place(semantic_map)
+        self._placed = True
 
-    def _crowd(self, agents: AgentStates, bodies: Bodies, objectives: Objectives, now: float) -> Crowd:
-        """The crowd as the planner sees it, with what everybody is asked to do."""
-        states = agents.now.astype(np.float64)
-        position, heading = states[:, :2].copy(), states[:, 2].copy()
-        velocity = states[:, 3:4] * np.column_stack([np.cos(heading), np.sin(heading)])
-        self._stitch(agents.ids, position, heading, velocity, now)
-        radii = dict(zip(bodies.ids.tolist(), bodies.radii.astype(float).tolist(), strict=True))
-        wishes = {wish.id: wish.objectives for wish in objectives.agents}
-        goal, speed, gap = position.copy(), np.full(len(states), DEFAULT_SPEED), np.zeros(len(states))
-        for row, agent in enumerate(agents.ids.tolist()):
-            for wish in wishes.get(agent, ()):
-                match wish:
-                    case TargetSpeed():
-                        speed[row] = wish.speed
-                    case SocialDistance():
-                        gap[row] = wish.gap
-            for wish in wishes.get(agent, ()):
-                if isinstance(wish, Waypoint):
-                    goal[row] = wish.position
-                    if wish.at is not None:
-                        left = max(wish.at - now, PLAN_DT)
-                        speed[row] = np.linalg.norm(goal[row] - position[row]) / left
-        group = np.full(len(states), -1)
-        for social in objectives.groups:
-            group[np.isin(agents.ids, social.members)] = social.id
-        own = np.array([radii[agent] for agent in agents.ids.tolist()]).reshape(len(states))
-        return Crowd(position, velocity, heading, own + self.config.margin + gap / 2, goal, speed, group)
+    def _make(self, config: Config) -> Method:
+        """The planning method.
 
-    def _stitch(
-        self, ids: np.ndarray, position: np.ndarray, heading: np.ndarray, velocity: np.ndarray, now: float
-    ) -> None:
-        """Start (in place) from the last plan's states of now, for everybody who is where it had them."""
+        Raises:
+            ConfigError: It cannot be had: no torch, broken weights, unknown objectives.
+        """
+        if config.method != "trace":
+            return CrowdMethod(config)
+        try:
+            import torch  # noqa: F401
+        except ImportError:
+            raise ConfigError(
+                "planner: config: method: 'trace' needs torch; install footfall[learn], or choose orca"
+            ) from None
+        from .planner_trace import TraceMethod
+
+        return TraceMethod(
+            seed=self.seed,
+            samples=config.samples,
+            steps=config.steps,
+            context_weight=config.context_weight,
+            guidance=config.guidance,
+            weights=config.weights,
+            modules=config.objectives,
+            ask=config.ask,
+            margin=config.margin,
+            threads=config.threads,
+        )
+
+    def _starts(self, agents: AgentStates, now: float) -> np.ndarray:
+        """(N, 4) where plans begin: the last plan's states of now, for everybody who is where it had them."""
+        states = agents.now[:, :4].astype(np.float64)
         if self._last is None:
-            return
+            return states
         index = round((now - self._last_stamp) / PLAN_DT) - 1
         if not 0 <= index < self._last.positions.shape[2]:
-            return
+            return states
         row_of = {agent: row for row, agent in enumerate(self._last.ids.tolist())}
-        for row, agent in enumerate(ids.tolist()):
+        for row, agent in enumerate(agents.ids.tolist()):
             if (old := row_of.get(agent)) is None:
                 continue
-            chosen = int(self._last.chosen[old])
-            planned = self._last.positions[old, chosen, index].astype(np.float64)
-            if np.linalg.norm(planned - position[row]) < self.config.stitch:
-                position[row] = planned
-                heading[row] = self._last.headings[old, chosen, index]
-                speed = float(self._last.speeds[old, chosen, index])
-                velocity[row] = speed * np.array([np.cos(heading[row]), np.sin(heading[row])])
+            at = old, int(self._last.chosen[old]), index
+            planned = self._last.positions[at].astype(np.float64)
+            if np.linalg.norm(planned - states[row, :2]) < self.config.stitch:
+                states[row] = [*planned, self._last.headings[at], self._last.speeds[at]]
+        return states
 
 
-def place_of(semantic_map: SemanticMap) -> Place:
-    """What a map means for somebody who looks for a way."""
-    layers = {name: layer > 0 for name, layer in zip(semantic_map.layers, semantic_map.raster, strict=True)}
-    cost = np.ones(semantic_map.raster.shape[1:])
-    if "road" in layers:
-        crosswalk = layers.get("crosswalk", np.zeros_like(layers["road"]))
-        cost[layers["road"] & ~crosswalk] = ROAD_COST
-    return Place(
-        blocked=~layers["walkable"] | layers.get("obstacle", np.zeros_like(layers["walkable"])),
-        cost=cost,
-        resolution=semantic_map.resolution,
-        origin=semantic_map.origin,
-        obstacles=[np.array(obstacle.polygon) for obstacle in semantic_map.obstacles],
-    )
+class CrowdMethod:
+    """Planners that need no past: `orca`, `constant_velocity`."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._planner: Planner = ConstantVelocity()
+
+    def place(self, semantic_map: SemanticMap) -> None:
+        """Take a new map."""
+        if self._config.method == "orca":
+            self._planner = OrcaPlanner(place_of(semantic_map))
+
+    def plan(self, moment: Moment) -> Futures:
+        """One future a pedestrian."""
+        return self._planner.plan(moment.crowd(self._config.margin))
 
 
 def message_of(ids: np.ndarray, futures: Futures, method: str, planning_time: float) -> Plans:

@@ -1,0 +1,171 @@
+"""TRACE as a planning method: live agents, maps and objectives in, guided samples out. Needs torch."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+
+from ..messages.config import ConfigError
+from ..messages.map import SemanticMap
+from ..models.crowd.navigation import Navigator
+from ..models.crowd.planning import PLAN_DT, PLAN_STEPS
+from ..models.crowd.routes import Routes
+from ..models.trace.guidance import Guidance
+from ..models.trace.objectives import Objective, ObjectiveError
+from ..models.trace.planner import WEIGHTS, Sampling, TraceFutures, TracePlanner
+from ..models.trace.scene_map import SceneMaps
+from ..models.trace.weights import WeightsError
+from .planner_moment import Moment, place_of
+from .planner_objectives import Surroundings, objectives_of
+
+log = logging.getLogger(__name__)
+
+CLEARANCE = 0.3
+"""Ways keep so far from obstacles [m]."""
+STILL = 0.15
+"""Who moves no further than this stands [m]."""
+
+
+class TraceMethod:
+    """Guided samples that continue each other from plan to plan.
+
+    Args:
+        seed: Of the run; noise follows from it and from the time.
+        samples: Futures a pedestrian.
+        steps: Denoising steps.
+        context_weight: w of classifier-free sampling.
+        guidance: Where gradients are taken.
+        weights: File, or None for the shipped one.
+        modules: Python files or modules that register objectives.
+        ask: Objectives for everybody, with parameters and `weight`.
+        margin: Added to every body's radius [m].
+        threads: Of torch, in this process.
+
+    Raises:
+        ConfigError: Weights, modules or objectives cannot be had.
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        samples: int,
+        steps: int,
+        context_weight: float,
+        guidance: Literal["direct", "clean", "noisy"],
+        weights: str | None,
+        modules: Sequence[str],
+        ask: Mapping[str, Mapping[str, float]],
+        margin: float,
+        threads: int,
+    ) -> None:
+        torch.set_num_threads(threads)
+        for name in modules:
+            load_objectives(name)
+        sampling = Sampling(steps=steps, samples=samples, context_weight=context_weight)
+        try:
+            self._planner = TracePlanner.load(
+                Path(weights) if weights else WEIGHTS, sampling, Guidance(mode=guidance)
+            )
+            self._everybody = [
+                Objective(name, {k: v for k, v in values.items() if k != "weight"}, values.get("weight", 1.0))
+                for name, values in ask.items()
+            ]
+        except (WeightsError, ObjectiveError) as error:
+            raise ConfigError(f"planner: config: {error}") from None
+        config = self._planner.config
+        if (config.dt, config.plan) != (PLAN_DT, PLAN_STEPS):
+            raise ConfigError(
+                f"planner: config: weights: plans of {weights or WEIGHTS} have {config.plan} points {config.dt:g} s "
+                f"apart; the graph's have {PLAN_STEPS}, {PLAN_DT:g} s apart"
+            )
+        self._seed, self._margin = seed, margin
+        self._surroundings: Surroundings | None = None
+        self._maps: SceneMaps | None = None
+        self._last: TraceFutures | None = None
+        self._last_time = 0.0
+
+    def place(self, semantic_map: SemanticMap) -> None:
+        """Distance fields and ways of a new map; plans go on from the last one."""
+        place = place_of(semantic_map)
+        height, width = place.blocked.shape
+        low = np.array(place.origin)
+        self._maps = SceneMaps.from_raster(
+            {"obstacle": place.blocked}, place.resolution, (low + place.resolution / 2).tolist()
+        )
+        navigator = Navigator(place.blocked, place.resolution, place.origin, CLEARANCE, place.cost)
+        high = low + place.resolution * np.array([width, height])
+        self._surroundings = Surroundings(Routes(navigator), low, high)
+
+    def plan(self, moment: Moment) -> TraceFutures:
+        """All samples of everybody, and which to follow."""
+        assert self._surroundings is not None
+        wishes = objectives_of(moment, self._surroundings, self._margin) + self._everybody
+        states = moment.history[:, :, :4].copy()
+        states[:, -1] = moment.states
+        elapsed = round((moment.now - self._last_time) / PLAN_DT)
+        ids = moment.ids.tolist()
+        last = self._last
+        if last is not None and (elapsed >= PLAN_STEPS or not set(last.ids) & set(ids)):
+            last = None
+        futures = self._planner.plan(
+            states,
+            np.repeat(2 * moment.radius[:, None], 2, axis=1),
+            self._maps,
+            wishes,
+            moment.history[:, :, 6] > 0,
+            previous=last,
+            elapsed=elapsed,
+            seed=self._seed * 1_000_003 + round(moment.now / PLAN_DT),
+            ids=ids,
+        )
+        self._last, self._last_time = futures, moment.now
+        return settled(futures, moment.states)
+
+
+def settled(futures: TraceFutures, now: np.ndarray, still: float = STILL) -> TraceFutures:
+    """Futures in which who hardly moves any more stands.
+
+    From the first state on that is no further than `still` [m] from the last one, and from all between, nobody
+    moves: samples of a person who waits tremble, and a body that follows them would shuffle.
+
+    Args:
+        futures: (A, S, T).
+        now: (A, 4) states before the first one.
+        still: [m].
+    """
+    count, samples = futures.speeds.shape[:2]
+    first = np.broadcast_to(now[:, None, None, :], (count, samples, 1, 4))
+    rest = [futures.positions, futures.headings[..., None], futures.speeds[..., None]]
+    states = np.concatenate([first, np.concatenate(rest, axis=-1)], axis=2)  # (A, S, 1 + T, 4)
+    far = np.linalg.norm(states[..., :2] - states[..., -1:, :2], axis=-1) > still
+    steps = np.arange(states.shape[2])
+    arrival = np.where(far, steps + 1, 0).max(axis=2)[..., None]  # (A, S, 1)
+    index = np.minimum(steps, arrival)[..., None]
+    held = np.take_along_axis(states, np.broadcast_to(index, states.shape), axis=2)[:, :, 1:]
+    speeds = np.where(steps[1:] > arrival, 0.0, held[..., 3])
+    return replace(futures, positions=held[..., :2], headings=held[..., 2], speeds=speeds)
+
+
+def load_objectives(name: str) -> None:
+    """Run a Python file, or import a module, for the objectives it registers.
+
+    Raises:
+        ConfigError: There is none, or it fails.
+    """
+    path = Path(name)
+    try:
+        if path.suffix != ".py":
+            import_module(name)
+            return
+        spec = spec_from_file_location(path.stem, path)
+        assert spec is not None and spec.loader is not None
+        spec.loader.exec_module(module_from_spec(spec))
+    except Exception as error:  # whatever a stranger's module does wrong
+        reason = f"{type(error).__name__}: {error}"
+        raise ConfigError(f"planner: config: objectives: cannot load {name}: {reason}") from error
