@@ -10,7 +10,7 @@ from .objectives import Future, objective, per_agent
 
 def distance_to(future: Future, goal: Tensor) -> tuple[Tensor, Tensor]:
     """(A, M, T) distances to (A, 2) or (2,) goals [m], and (A, 1) who has one."""
-    goals, given = per_agent(goal, len(future.states))
+    goals, given = per_agent(goal, len(future.states), 1)
     return (future.positions - goals[:, :, None]).norm(dim=-1), given
 
 
@@ -153,7 +153,7 @@ def global_waypoint(
         temperature: See `waypoint`.
     """
     distance, given = distance_to(future, goal)
-    goals, _ = per_agent(goal, len(future.states))
+    goals, _ = per_agent(goal, len(future.states), 1)
     start = (future.now[:, None, :2] - goals).norm(dim=-1)  # (A, 1)
     reach = distance.shape[-1] * future.dt * speed
     behind = torch.relu(urgency * reach - (start - distance[..., -1])) * given
@@ -230,7 +230,7 @@ def follow(future: Future, way: Tensor, slack: Tensor | float = 0.5) -> Tensor:
         way: (A, T, 2) world x, y of where each would be at the times of the future [m].
         slack: (A, T) or one for all [m].
     """
-    points, given = per_agent(way, len(future.states))
+    points, given = per_agent(way, len(future.states), 2)
     room = torch.as_tensor(slack, dtype=torch.float32)
     room = room[:, None] if room.ndim else room
     distance = ((future.positions - points).square().sum(-1) + 1e-8).sqrt()

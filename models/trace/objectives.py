@@ -138,15 +138,29 @@ class Objective:
         """
         try:
             return OBJECTIVES[self.name].loss(future, **self.parameters)
-        except TypeError as error:
+        except (TypeError, ObjectiveError) as error:
             raise ObjectiveError(f"objective {self.name!r}: {error}") from error
 
 
-def per_agent(values: Tensor | float, agents: int) -> tuple[Tensor, Tensor]:
-    """A parameter for each agent (A, 1, 1, ...), and (A, 1) whether the agent has one (no NaN)."""
+def per_agent(values: Tensor | float, agents: int, inner: int = 0) -> tuple[Tensor, Tensor]:
+    """A parameter for each agent (A, 1, ...), and (A, 1) whether the agent has one (no NaN).
+
+    Args:
+        values: One for all, or with a first axis of A.
+        agents: A.
+        inner: Axes of one agent's value: 0 for a number, 1 for a point.
+
+    Raises:
+        ObjectiveError: On another shape.
+    """
     value = torch.as_tensor(values, dtype=torch.float32)
-    if value.ndim == 0 or len(value) != agents:
+    if value.ndim == inner:
         value = value.expand(agents, *value.shape)
+    if value.ndim != inner + 1 or len(value) != agents:
+        raise ObjectiveError(
+            f"a parameter has the shape {tuple(value.shape)}; it must have {inner} axes, or {inner + 1} of which "
+            f"the first counts the {agents} agents"
+        )
     given = torch.isfinite(value.reshape(agents, -1)).all(-1)
-    value = torch.where(given.reshape(-1, *[1] * (value.ndim - 1)), value, 0.0)
+    value = torch.where(given.reshape(-1, *[1] * inner), value, 0.0)
     return value.reshape(agents, 1, *value.shape[1:]), given[:, None]
