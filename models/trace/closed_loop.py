@@ -19,11 +19,13 @@ from .metrics import (
 )
 from .objectives import Objective
 from .planner import TracePlanner
-from .rollouts import GOAL_SECONDS, Rollout, walk
+from .rollouts import GOAL_SECONDS, Rollout, Wishes, walk
 
 GROUP_DISTANCE, GROUP_COHESION = 1.5, 0.3  # m, probability (app. C.5)
 PERTURBATION = 2.0  # m, standard deviation (app. C.5)
 URGENCY, SPEED = 0.7, 1.25  # share, m/s (app. C.5)
+TEMPERATURE = 0.2  # m, of the waypoint's soft minimum; as in the open-loop tables
+ARRIVED = 0.3  # m from the waypoint
 
 
 @dataclass(frozen=True)
@@ -32,24 +34,26 @@ class Task:
 
     Attributes:
         name: Of the guide.
-        objectives: For a number of people of whom the walkers come first; nothing is asked of the others.
+        wishes: What is asked of the walkers; nothing is asked of the others.
         error: (E,) guidance errors [m] of walked positions (walkers, 101, 2).
     """
 
     name: str
-    objectives: Callable[[int], list[Objective]]
+    wishes: Wishes
     error: Callable[[Array], Array]
 
 
 def reach(name: str, goals: Array) -> Task:
-    """Pass goals (walkers, 2) at any time, also beyond the horizon of a plan."""
+    """Pass goals (walkers, 2) at any time, also beyond the horizon of a plan; who has passed is free."""
 
-    def objectives(people: int) -> list[Objective]:
+    def wishes(people: int, path: Array) -> list[Objective]:
         goal = torch.full((people, 2), torch.nan)
-        goal[: len(goals)] = torch.from_numpy(goals)
-        return [Objective("global_waypoint", {"goal": goal, "urgency": URGENCY, "speed": SPEED})]
+        walking = waypoint_error(path, goals) > ARRIVED
+        goal[: len(goals)][torch.from_numpy(walking)] = torch.from_numpy(goals[walking])
+        settings = {"goal": goal, "urgency": URGENCY, "speed": SPEED, "temperature": TEMPERATURE}
+        return [Objective("global_waypoint", settings)]
 
-    return Task(name, objectives, lambda path: waypoint_error(path, goals))
+    return Task(name, wishes, lambda path: waypoint_error(path, goals))
 
 
 def waypoint_task(rollout: Rollout, rng: np.random.Generator) -> Task:
@@ -67,21 +71,21 @@ def groups_task(rollout: Rollout, rng: np.random.Generator) -> Task:
     """Stay 1.5 m from the nearest member of the group."""
     groups = rollout.groups
 
-    def objectives(people: int) -> list[Objective]:
+    def wishes(people: int, path: Array) -> list[Objective]:
         group = torch.full((people,), -1)
         group[: len(groups)] = torch.from_numpy(groups)
         settings = {"group": group, "distance": GROUP_DISTANCE, "cohesion": GROUP_COHESION}
         return [Objective("social_group", settings)]
 
     return Task(
-        "groups", objectives, lambda path: social_distance_error(path, groups.astype(float), GROUP_DISTANCE)
+        "groups", wishes, lambda path: social_distance_error(path, groups.astype(float), GROUP_DISTANCE)
     )
 
 
 def no_task(rollout: Rollout, rng: np.random.Generator) -> Task:
     """Just walk; the error is the distance from where they truly went."""
     goals = rollout.goals
-    return Task("none", lambda people: [], lambda path: waypoint_error(path, goals))
+    return Task("none", lambda people, path: [], lambda path: waypoint_error(path, goals))
 
 
 TASKS = {"none": no_task, "waypoint": waypoint_task, "perturbed": perturbed_task, "groups": groups_task}
@@ -174,6 +178,6 @@ def evaluate_loop(
     """Walk all rollouts under one of `TASKS`; perturbations depend on the seed and the rollout only."""
     tally, begun = LoopTally(trials[0].dt), clock()
     for number, rollout, wanted in asked(trials, task, seed):
-        path = walk(planner, rollout, wanted.objectives, seed=1000 * seed + number)
+        path = walk(planner, rollout, wanted.wishes, seed=1000 * seed + number)
         tally.add(rollout, wanted, path[..., :2].numpy())
     return tally.report((clock() - begun) / max(len(tally.walked), 1))

@@ -20,7 +20,7 @@ DT = 0.1  # s between frames
 SECONDS = 20.0  # of a scene, as nuScenes cuts them
 OVERLAP = 82  # frames that a scene shares with the next: 31 of history and 52 of future fit in one of them
 MAX_GAP = 1.5  # s unseen; whoever comes back later is somebody else
-MARGIN = 3.0  # m of map around the tracks
+MARGIN = 8.0  # m of map around the tracks: room for goals beside them
 RESOLUTION = 0.2  # m
 FAR = 20.0  # m; distances are clipped to it
 

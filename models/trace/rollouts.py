@@ -100,15 +100,17 @@ def rollouts(crowds: Crowds, config: TraceConfig, split: str = "test") -> list[R
     return found
 
 
-def walk(
-    planner: TracePlanner, rollout: Rollout, objectives: Callable[[int], list[Objective]], seed: int = 0
-) -> torch.Tensor:
+Wishes = Callable[[int, Array], list[Objective]]
+"""Objectives for a number of people, the walkers first, given their path (walkers, T, 2) so far [m]."""
+
+
+def walk(planner: TracePlanner, rollout: Rollout, wishes: Wishes, seed: int = 0) -> torch.Tensor:
     """Walk a rollout, with a new plan every second.
 
     Args:
         planner: With its sampling and guidance.
         rollout: The scene.
-        objectives: Given the number of people around, the walkers first.
+        wishes: What is asked, anew for each plan.
         seed: Of the samples.
 
     Returns:
@@ -122,18 +124,17 @@ def walk(
         around = present[:, now].nonzero()[:, 0]  # walkers are always there, and first
         past = slice(now + 1 - history, now + 1)
         size = torch.full((len(around), 2), 2 * rollout.radius)
-        wishes = objectives(len(around))
+        path = states[:walkers, rollout.now : now + 1, :2].numpy()
         plan = planner.plan(
             states[around, past],
             size,
             rollout.maps,
-            wishes,
+            wishes(len(around), path),
             present=present[around, past],
             seed=1000 * seed + number,
         )
         rows = np.arange(walkers), plan.chosen[:walkers]
-        path = np.concatenate(
-            [plan.positions[rows], plan.headings[rows][..., None], plan.speeds[rows][..., None]], -1
-        )
-        states[:walkers, now + 1 : now + 1 + step] = torch.from_numpy(path[:, :step]).float()
+        ahead = [plan.positions[rows], plan.headings[rows][..., None], plan.speeds[rows][..., None]]
+        chosen = torch.from_numpy(np.concatenate(ahead, -1)[:, :step]).float()
+        states[:walkers, now + 1 : now + 1 + step] = chosen
     return states[:walkers, rollout.now : rollout.now + SECONDS * step + 1]
