@@ -17,10 +17,14 @@ from pathlib import Path
 
 import torch
 
+from ..models.motion.library import MotionLibrary
+from ..models.pacer.style import DemoWindows
 from ..models.pacer.walker_config import CONFIGS, WalkerConfig
 from ..models.pacer.walker_env import WalkerEnv
 from ..models.pacer.walker_training import WalkerTraining
 from ..models.trace.weights import load_tensors, save_tensors
+
+_DEMO_BODIES = 4  # of those who walk, on whom motion capture is shown to the discriminator
 
 
 class TrainingError(ValueError):
@@ -40,6 +44,10 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--noise", type=float, help="standard deviation of actions")
     parser.add_argument("--discount", type=float, help="per control step")
     parser.add_argument("--push-force", type=float, help="N at most")
+    parser.add_argument("--style", type=float, help="share of the style reward; needs --motions")
+    parser.add_argument(
+        "--motions", type=Path, default=Path("data/motions.npz"), help="motion capture library"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--save-minutes", type=float, default=3.0)
     parser.set_defaults(run=run)
@@ -66,7 +74,21 @@ def _config(args: argparse.Namespace) -> WalkerConfig:
     config = CONFIGS[args.config]
     names = ("worlds", "noise", "discount", "push_force")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    if args.style is not None:
+        if not 0 <= args.style < 1:
+            raise TrainingError("--style is a share, at least 0 and less than 1")
+        given["style"] = replace(config.style, weight=args.style)
     return replace(config, seed=args.seed, physics=replace(config.physics, threads=args.threads), **given)
+
+
+def _demos(args: argparse.Namespace, env: WalkerEnv) -> DemoWindows | None:
+    """Motion capture on a few of the bodies that walk, if style counts."""
+    if not env.config.style.weight > 0:
+        return None
+    bodies = env.world.bodies[:_DEMO_BODIES]
+    library = MotionLibrary.load(args.motions, bodies)
+    print(f"{len(library)} clips of motion capture on {len(bodies)} bodies", flush=True)
+    return DemoWindows(library, env.world.hinges, env.config.style.window)
 
 
 class TrainingRun:
@@ -80,7 +102,8 @@ class TrainingRun:
     def __init__(self, args: argparse.Namespace, config: WalkerConfig):
         self.args, self.config = args, config
         self.folder: Path = args.out or Path("runs") / f"pacer_{args.config}"
-        self.training = WalkerTraining(WalkerEnv(config, seed=args.seed), config)
+        env = WalkerEnv(config, seed=args.seed)
+        self.training = WalkerTraining(env, config, _demos(args, env))
         self.minutes = 0.0
         if (self.folder / "state.safetensors").is_file():
             tensors, facts = load_tensors(self.folder / "state.safetensors")
@@ -89,7 +112,6 @@ class TrainingRun:
             except (RuntimeError, KeyError) as error:
                 raise TrainingError(f"{self.folder} holds a run of other settings: {error}") from error
             self.minutes = float(facts["minutes"])
-        env = self.training.env
         print(
             f"{len(env)} worlds of {len(env.world.bodies)} bodies; from sample {self.training.samples:,}",
             flush=True,

@@ -28,7 +28,7 @@ class FollowerLimits:
     """m/s."""
     sideways: float = 0.4
     """m/s: fastest side and back step."""
-    leash: float = 0.15
+    leash: float = 0.25
     """m: how far the person may be from the follower before it comes along."""
     leash_rate: float = 3.0
     """1/s at which the distance beyond the leash closes."""

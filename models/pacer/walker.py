@@ -24,7 +24,7 @@ from .mathops import heading
 from .paths import HORIZON, Paths
 from .policy import ActorCritic
 from .walker_config import WalkerConfig
-from .walker_observation import LIMIT, WAYPOINTS, Mirror, Motion, People, clearance, observe
+from .walker_observation import LIMIT, WAYPOINTS, Mirror, Motion, People, clearance, driven_hinges, observe
 from .walker_weights import load_walker
 
 Array = NDArray[np.float64]
@@ -54,7 +54,8 @@ class Walker:
         """(H,) hinges that are driven; the targets of the others are 0."""
         self.height_at = height_at
         self._model = model.eval()
-        self._mirror = Mirror(self.hinges)
+        self._driven = driven_hinges(self.hinges, config.arms)
+        self._mirror = Mirror(self.hinges, self._driven)
         self._ids: list[int] = []
         self._people: People | None = None
         self._reference: GaitReference | None = None
@@ -168,7 +169,8 @@ class Walker:
         actions[mirrored] = self._mirror.actions(actions[mirrored])
         config, hinges = self.config, self.hinges
         pose = reference.joints[:, hinges] + config.lead * reference.rates[:, hinges]
-        targets[:, hinges] = pose + config.action_scale * actions
+        pose[:, self._driven] += config.action_scale * actions
+        targets[:, hinges] = pose
         return targets
 
     def values(self, plans: Tensor) -> Tensor:

@@ -13,8 +13,8 @@ from .paths import PathSettings
 class WalkerRewards:
     """Weight and sharpness of each term of the reward, ``weight * exp(-sharpness * error)``; SI units."""
 
-    path: tuple[float, float] = (0.20, 2.0)
-    """Squared distance from the path (PACER, app. B.2), m^2."""
+    path: tuple[float, float] = (0.20, 5.0)
+    """Squared distance from the path, m^2 (PACER, app. B.2, where the sharpness is 2)."""
     place: tuple[float, float] = (0.15, 20.0)
     """Squared distance of the pelvis from the gait's, m^2."""
     upright: tuple[float, float] = (0.10, 8.0)
@@ -91,6 +91,8 @@ class WalkerConfig:
     """Whether the body's shape is observed (PACER, table 9)."""
     action_scale: float = 0.4
     """rad of PD target per unit of action."""
+    arms: bool = False
+    """Whether actions move the arms, too; otherwise they swing as the gait says."""
     lead: float = 0.1
     """s: PD targets run ahead of the gait by this times its rates; the drives' kd / kp."""
     lost: float = 1.0
@@ -102,7 +104,7 @@ class WalkerConfig:
     push_force: float = 200.0
     """N at most, sideways or along, for 0.2 s on the chest."""
     hidden: tuple[int, ...] = (512, 256)
-    noise: float = 0.18
+    noise: float = 0.15
     """Standard deviation of actions while training."""
     horizon: int = 16
     epochs: int = 5
@@ -111,7 +113,7 @@ class WalkerConfig:
     trace_decay: float = 0.95
     clip: float = 0.2
     bfloat16: bool = True
-    target_kl: float = 0.02
+    target_kl: float = 0.03
     rate: float = 3e-4
     rate_bounds: tuple[float, float] = (2e-5, 1e-3)
     seed: int = 0
@@ -124,6 +126,7 @@ CONFIGS: dict[str, WalkerConfig] = {
         people=473,
         physics=Physics(actuation="full"),
         style=StyleConfig(weight=0.5, hidden=(2048, 1024), gradient_penalty=5.0, batch=4096, memory=200_000),
+        arms=True,
         hidden=(2048, 1024),
         paths=PathSettings(duration=16.0, vertices=161),
         lost=4.0,

@@ -14,8 +14,9 @@ from ..gait import flat_ground
 from .batch_world import EVERYONE, BatchWorld
 from .gait_reference import GaitReference
 from .paths import Paths, sample_paths, with_stops
+from .style import StyleHistory, feature_count, style_features
 from .walker_config import WalkerConfig
-from .walker_observation import Mirror, Motion, People, clearance, observe
+from .walker_observation import Mirror, Motion, People, clearance, driven_hinges, observe
 from .walker_rewards import fallen, reward_errors, slip_speed, weigh
 
 Array = NDArray[np.float64]
@@ -42,6 +43,10 @@ class WalkerStep:
     """(N,) the episode was cut while reward would have gone on."""
     cut_observations: Floats
     """(number of cut worlds, size): what was seen at the end of those."""
+    windows: Floats
+    """(N, window * F) what a discriminator sees; (N, 0) without one."""
+    whole: NDArray[np.bool_]
+    """(N,) whose window is whole."""
     terms: dict[str, float]
     """Mean of each reward term, between 0 and 1, and of plain measures."""
 
@@ -49,7 +54,7 @@ class WalkerStep:
 class WalkerEnv:
     """N worlds of one walker each; worlds whose episode ends begin another at once.
 
-    An action (N, H) shifts the PD targets away from the gait's next pose; it answers the observation, and is
+    An action (N, A) shifts the PD targets away from the gait's next pose; it answers the observation, and is
     a mirror image where that is one.
 
     Args:
@@ -77,10 +82,11 @@ class WalkerEnv:
         self.reference = GaitReference(
             [bodies[i] for i in self.world.body_index], self.period, self.height_at, config.limits
         )
-        self.n_actions = len(self.world.hinges)
+        self.driven = driven_hinges(self.world.hinges, config.arms)
+        self.n_actions = len(self.driven)
         self.rng = np.random.default_rng(seed)
         self.paths = Paths(np.zeros((count, config.paths.vertices, 2)), config.paths.duration)
-        self.mirror = Mirror(self.world.hinges)
+        self.mirror = Mirror(self.world.hinges, self.driven)
         self.mirrored = np.zeros(count, dtype=bool)
         """(N,) whose last observation, and so whose next action, is a mirror image."""
         self.difficulty = 1.0
@@ -97,6 +103,8 @@ class WalkerEnv:
         self._push_left = np.zeros(count, dtype=np.intp)
         self.slip = np.zeros(count)
         """(N,) m/s: mean speed of sole points that touched during the last step."""
+        window = config.style.window if config.style.weight > 0 else 0
+        self._history = StyleHistory(count, feature_count(len(self.world.hinges)), window)
         self._begin(np.arange(count))
         self.settle(np.arange(count))
         self.size = self.observe().shape[1]
@@ -155,16 +163,17 @@ class WalkerEnv:
         return seen
 
     def unmirrored(self, actions: Floats) -> Floats:
-        """Actions (N, H) as the bodies take them, of actions that answer the last observations."""
+        """Actions (N, A) as the bodies take them, of actions that answer the last observations."""
         actions = np.array(actions)
         actions[self.mirrored] = self.mirror.actions(actions[self.mirrored])
         return actions
 
     def targets(self, actions: Floats) -> Array:
-        """PD targets (N, H), rad, of actions (N, H) as the bodies take them."""
+        """PD targets (N, H), rad, of actions (N, A) as the bodies take them."""
         hinges, config = self.world.hinges, self.config
         pose = self.reference.joints[:, hinges] + config.lead * self.reference.rates[:, hinges]
-        return pose + config.action_scale * actions
+        pose[:, self.driven] += config.action_scale * actions
+        return pose
 
     def advance(self, actions: Floats) -> Array:
         """Let one control step pass, no reward, no reset; returns the mechanical power (N,), W/kg."""
@@ -219,6 +228,10 @@ class WalkerEnv:
         observations = self.observe()
         cut_observations = observations[cut]
         ended = np.flatnonzero(failed | cut)
+        if self.config.style.weight > 0:
+            self._history.push(style_features(self.motion))
+        windows, whole = self._history.windows, self._history.whole
+        self._history.forget(ended)
         means = {f"term_{name}": float(np.nan_to_num(term).mean()) for name, term in terms.items()}
         means |= {
             "path_error": float(np.sqrt(np.nan_to_num(errors["path"])).mean()),
@@ -231,9 +244,8 @@ class WalkerEnv:
             self._begin(ended)
             self.settle(ended)
             observations[ended] = self.observe()[ended]
-        return WalkerStep(
-            observations, np.nan_to_num(rewards).astype(np.float32), failed, cut, cut_observations, means
-        )
+        rewards = np.nan_to_num(rewards).astype(np.float32)
+        return WalkerStep(observations, rewards, failed, cut, cut_observations, windows, whole, means)
 
     def _begin(self, ids: NDArray[np.intp]) -> None:
         """Draw paths for people (n,) and put them there."""

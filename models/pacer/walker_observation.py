@@ -187,6 +187,11 @@ WAYPOINTS = slice(-20, None)
 """Columns of the observation that hold the waypoints, x y each, m, heading frame."""
 
 
+def driven_hinges(hinges: NDArray[np.intp], arms: bool) -> NDArray[np.intp]:
+    """Which (A,) of the hinges (H,) actions shift: all, or all but those of the arms."""
+    return np.flatnonzero(arms | (1 + hinges // 3 <= BODY_INDEX["Head"]))
+
+
 class Mirror:
     """Left and right exchanged, in observations and in what the hinges are told.
 
@@ -195,15 +200,19 @@ class Mirror:
 
     Args:
         hinges: (H,) which of the 69 hinges exist.
+        driven: (A,) which of those H an action shifts; all when left out.
     """
 
-    def __init__(self, hinges: NDArray[np.intp]):
+    def __init__(self, hinges: NDArray[np.intp], driven: NDArray[np.intp] | None = None):
         place = np.full(len(MIRROR_JOINTS), -1)
         place[hinges] = np.arange(len(hinges))
         self.hinges: NDArray[np.intp] = place[MIRROR_JOINTS[hinges]]
         """(H,) counterpart of each hinge."""
         self.signs: Array = MIRROR_SIGNS[hinges]
         """(H,) sign its angle takes."""
+        driven = np.arange(len(hinges)) if driven is None else driven
+        self._actions = np.searchsorted(driven, self.hinges[driven])
+        self._action_signs = self.signs[driven]
         polar, axial = [1.0, -1.0, 1.0], [-1.0, 1.0, -1.0]  # vectors, and turns
         count = len(hinges)
         parts: list[tuple[Sequence[int] | NDArray[np.intp], Sequence[float] | Array]] = [
@@ -240,8 +249,8 @@ class Mirror:
         return observations[:, self.columns] * self.column_signs
 
     def actions(self, actions: NDArray) -> NDArray:
-        """Mirror images of hinge angles (n, H)."""
-        return actions[:, self.hinges] * self.signs
+        """Mirror images of actions (n, A)."""
+        return actions[:, self._actions] * self._action_signs
 
 
 def _swapped(order: list[int], width: int) -> NDArray[np.intp]:

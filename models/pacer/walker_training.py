@@ -7,12 +7,18 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from .policy import ActorCritic
 from .ppo import PPO, Rollout, advantages
+from .style import DemoWindows, Discriminator, StyleLearner, feature_count
 from .walker_config import WalkerConfig
-from .walker_env import WalkerEnv
+from .walker_env import WalkerEnv, WalkerStep
+
+
+class StyleError(ValueError):
+    """Style that counts, without motion capture."""
 
 
 class WalkerTraining:
@@ -21,9 +27,10 @@ class WalkerTraining:
     Args:
         env: the worlds.
         config: settings.
+        demos: motion capture, if style counts.
     """
 
-    def __init__(self, env: WalkerEnv, config: WalkerConfig):
+    def __init__(self, env: WalkerEnv, config: WalkerConfig, demos: DemoWindows | None = None):
         torch.manual_seed(config.seed)
         self.env = env
         self.config = config
@@ -38,6 +45,14 @@ class WalkerTraining:
             minibatch=config.minibatch,
             bfloat16=config.bfloat16,
         )
+        self.style: StyleLearner | None = None
+        if config.style.weight > 0:
+            if demos is None:
+                raise StyleError("A walker that learns style needs motion capture to learn it from.")
+            size = config.style.window * feature_count(len(env.world.hinges))
+            self.style = StyleLearner(Discriminator(size, config.style), demos, config.seed)
+        self._windows: list[NDArray[np.float32]] = []
+        self._ordinary_style = 0.3
         self.updates = 0
         self.samples = 0
         self.failing = 1.0
@@ -53,6 +68,9 @@ class WalkerTraining:
         rollout, figures = self._collect()
         learning = time.perf_counter()
         figures |= self.ppo.update(rollout)
+        if self.style:
+            figures |= self.style.learn(np.concatenate(self._windows))
+            self._windows.clear()
         now = time.perf_counter()
         figures["learning_share"] = (now - learning) / (now - begun)
         figures["mean_value"] = float(rollout.returns.mean())
@@ -88,7 +106,7 @@ class WalkerTraining:
             means[t] = model.actor(observations[t])
             actions[t] = means[t] + model.log_std.exp() * torch.randn_like(means[t])
             step = env.step(actions[t].numpy())
-            rewards[t] = torch.from_numpy(step.rewards) * (1 - config.discount)
+            rewards[t] = self._reward(step) * (1 - config.discount)
             failed[t], cut[t] = torch.from_numpy(step.failed), torch.from_numpy(step.cut)
             if step.cut.any():
                 ends = model.normalizer(torch.from_numpy(step.cut_observations))
@@ -108,13 +126,31 @@ class WalkerTraining:
             "failing": float(failed.sum()) / ended,
             "failures_per_s": float(failed.float().mean()) / env.period,
         } | {name: float(np.mean([t[name] for t in terms])) for name in terms[0]}
+        figures["style_reward"] = self._ordinary_style
         for cause in ("fell", "strayed"):
             figures[cause] *= steps / ended
         return Rollout(flat(observations), flat(actions), flat(means), flat(gains), flat(returns)), figures
 
+    def _reward(self, step: WalkerStep) -> Tensor:
+        """Rewards (N,): of the task, and of style where a window is whole; elsewhere ordinary style."""
+        task = torch.from_numpy(step.rewards)
+        if self.style is None:
+            return task
+        style = torch.full_like(task, self._ordinary_style)
+        if step.whole.any():
+            windows = step.windows[step.whole]
+            self._windows.append(windows)
+            style[step.whole] = self.style.discriminator.rewards(torch.from_numpy(windows))
+            self._ordinary_style += 0.02 * (float(style[step.whole].mean()) - self._ordinary_style)
+        share = self.config.style.weight
+        return (1 - share) * task + share * style
+
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Tensors and facts that `load_state` goes on from."""
         tensors = {f"model.{name}": value for name, value in self.model.state_dict().items()}
+        if self.style:
+            weights = self.style.discriminator.state_dict()
+            tensors |= {f"style.{name}": value for name, value in weights.items()}
         for role, optimizer, network in self._learners():
             for name, parameter in network.named_parameters():
                 for kind, value in optimizer.state[parameter].items():
@@ -147,6 +183,8 @@ class WalkerTraining:
                 kinds = ("step", "exp_avg", "exp_avg_sq")
                 if f"step.{name}" in moments:
                     optimizer.state[parameter] = {kind: moments[f"{kind}.{name}"] for kind in kinds}
+        if self.style and "style" in parts:
+            self.style.discriminator.load_state_dict(parts["style"])
         self.updates, self.samples = int(facts["updates"]), int(facts["samples"])
         self.failing, self.env.difficulty = float(facts["failing"]), float(facts["difficulty"])
         self.ppo.rate = float(facts["rate"])
@@ -156,3 +194,5 @@ class WalkerTraining:
     def _learners(self):
         yield "actor", self.ppo.actor_optimizer, self.model.actor
         yield "critic", self.ppo.critic_optimizer, self.model.critic
+        if self.style:
+            yield "stylist", self.style.optimizer, self.style.discriminator.network

@@ -116,3 +116,21 @@ def test_the_learning_rate_is_held_by_the_divergence(target, falls):
     assert figures["kl"] > 0
     assert (ppo.rate < before) == falls
     assert ppo.actor_optimizer.param_groups[0]["lr"] == ppo.rate
+
+
+def test_every_minibatch_in_bfloat16_sees_the_weights_of_the_last_step():
+    """Weights kept by autocast for a whole update would leave the divergence at zero."""
+    torch.manual_seed(0)
+    model = ActorCritic(3, 2, (16,), 0.2)
+    ppo = learner(model)
+    ppo.bfloat16 = True
+    ppo.minibatch = 128
+    seen = torch.randn(512, 3)
+    with torch.no_grad():
+        means = model.actor(seen)
+    actions = means + 0.2 * torch.randn_like(means)
+    figures = ppo.update(Rollout(seen, actions, means, torch.randn(512), torch.rand(512)))
+    with torch.no_grad():
+        moved = 0.5 * ((model.actor(seen) - means) / 0.2).square().sum(-1).mean().item()
+    assert moved > 1e-4
+    assert figures["kl"] == pytest.approx(moved, rel=0.9)

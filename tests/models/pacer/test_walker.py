@@ -197,7 +197,7 @@ def test_a_push_gives_its_impulse():
     before = momentum()
     for _ in range(8):
         env._push()
-        env.world.step(np.zeros((6, env.n_actions)))
+        env.world.step(np.zeros((6, len(env.world.hinges))))
     gained = momentum() - before
     np.testing.assert_allclose(gained[:, 1], 150.0 * 0.2, rtol=0.02)
     np.testing.assert_allclose(gained[:, 0], 0.0, atol=0.5)
@@ -217,3 +217,33 @@ def test_slip_is_the_speed_of_points_that_touch():
 
 def test_every_body_has_its_place_in_the_fall_test():
     assert {"L_Hand", "R_Hand", "L_Knee", "R_Knee", "Head"} <= set(BODY_INDEX)
+
+
+def test_training_with_style_learns_both_and_resumes_where_it_was():
+    import torch
+
+    from footfall.models.motion.library import MotionLibrary
+    from footfall.models.motion.walk_cycle import walk_cycle
+    from footfall.models.pacer.style import DemoWindows
+    from footfall.models.pacer.walker_training import WalkerTraining
+
+    style = replace(SMALL.style, weight=0.5, window=4, hidden=(8,), batch=16, steps=1)
+    config = replace(SMALL, style=style, hidden=(16,), horizon=6, minibatch=12, epochs=2, bfloat16=False)
+
+    def fresh():
+        env = WalkerEnv(config, seed=0)
+        library = MotionLibrary([walk_cycle(env.world.bodies[0], 1.2, 1.0)], env.world.bodies[:1])
+        return WalkerTraining(env, config, DemoWindows(library, env.world.hinges, 4))
+
+    training = fresh()
+    for _ in range(2):
+        figures = training.update()
+    assert figures["kl"] > 0 and 0 < figures["style_reward"] <= 1 and figures["disc_loss"] > 0
+    assert training.samples == 72
+    tensors, facts = training.state()
+    other = fresh()
+    other.load_state({name: value.clone() for name, value in tensors.items()}, facts)
+    again, _ = other.state()
+    assert again.keys() == tensors.keys() and other.samples == 72
+    for name, value in tensors.items():
+        torch.testing.assert_close(again[name], value, msg=name)
