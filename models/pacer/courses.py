@@ -1,0 +1,137 @@
+"""Random ground to walk on: slopes, rough ground, stairs, scattered blocks (PACER, app. B.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import zoom
+
+from ..scene.terrain import Terrain
+
+Heights = NDArray[np.float64]
+
+SHARES: dict[str, float] = {
+    "slope": 0.2,
+    "rough_slope": 0.1,
+    "stairs_up": 0.15,
+    "stairs_down": 0.15,
+    "discrete": 0.05,
+    "flat": 0.1,
+}
+"""Kind of ground: its share among tiles, relative to the others' (PACER's settings)."""
+
+
+class CourseError(ValueError):
+    """Ground of an unknown kind or a course without a tile."""
+
+
+@dataclass(frozen=True)
+class CourseSettings:
+    """Sizes of tiles, m; defaults are PACER's but for the number of tiles."""
+
+    levels: int = 5
+    """Rows of tiles, harder and harder."""
+    columns: int = 10
+    tile: float = 20.0
+    border: float = 10.0
+    """m of flat ground around the tiles."""
+    cell: float = 0.1
+    """m between two heights."""
+    platform: float = 3.0
+    """m: side of the level place in the middle of slopes and stairs."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """Ground made of tiles, and what each of them is."""
+
+    terrain: Terrain
+    settings: CourseSettings
+    kinds: tuple[tuple[str, ...], ...]
+    """By level and column."""
+
+    def centres(self) -> NDArray[np.float64]:
+        """Middles (levels, columns, 2) of the tiles, m, world."""
+        s = self.settings
+        x = s.tile * (np.arange(s.columns) + 0.5)
+        y = s.tile * (np.arange(s.levels) + 0.5)
+        return np.stack(np.meshgrid(x, y), -1)
+
+
+def make_tile(kind: str, difficulty: float, settings: CourseSettings, rng: np.random.Generator) -> Heights:
+    """Heights (n, n), m, of one tile, 0 at its rim but for rough ground.
+
+    Args:
+        kind: one of `SHARES`.
+        difficulty: 0 to 1: slopes to 0.7, steps from 0.05 to 0.225 m, blocks from 0.025 to 0.175 m.
+        settings: sizes.
+        rng: random numbers.
+
+    Raises:
+        CourseError: an unknown kind.
+    """
+    n = round(settings.tile / settings.cell)
+    along = (np.arange(n) + 0.5) * settings.cell - 0.5 * settings.tile
+    out = np.maximum(np.abs(along[:, None]), np.abs(along[None]))  # distance from the middle, squares
+    inwards = np.clip(0.5 * settings.tile - out, 0.0, 0.5 * (settings.tile - settings.platform))
+    up = rng.choice([-1.0, 1.0])
+    if kind == "flat":
+        return np.zeros((n, n))
+    if kind == "slope":
+        return up * 0.7 * difficulty * inwards
+    if kind == "rough_slope":
+        coarse = rng.uniform(-0.1, 0.1, (n // 5 + 2, n // 5 + 2)) * (0.2 + 0.8 * difficulty)
+        return up * 0.35 * difficulty * inwards + zoom(coarse, 5, order=1)[:n, :n]
+    if kind in ("stairs_up", "stairs_down"):
+        height = 0.05 + 0.175 * difficulty
+        steps = np.floor(inwards / 0.31 + 1e-9)
+        return (height if kind == "stairs_up" else -height) * steps
+    if kind == "discrete":
+        return _blocks(n, 0.025 + 0.15 * difficulty, out, settings, rng)
+    raise CourseError(f"There is no ground of kind {kind!r}; the kinds are {', '.join(SHARES)}.")
+
+
+def _blocks(
+    n: int, height: float, out: Heights, settings: CourseSettings, rng: np.random.Generator
+) -> Heights:
+    """Forty flat blocks and pits of 1 to 2 m."""
+    ground = np.zeros((n, n))
+    for _ in range(40):
+        width, depth = (rng.uniform(1.0, 2.0, 2) / settings.cell).astype(int)
+        x, y = rng.integers(n - width), rng.integers(n - depth)
+        ground[x : x + width, y : y + depth] = rng.choice([-1.0, -0.5, 0.5, 1.0]) * height
+    ground[out < 0.5 * settings.platform] = 0.0
+    return ground
+
+
+def make_course(
+    settings: CourseSettings | None = None, kinds: dict[str, float] | None = None, seed: int = 0
+) -> Course:
+    """Lay tiles: a kind a column, a difficulty a level.
+
+    Args:
+        settings: sizes and numbers.
+        kinds: shares of the kinds; `SHARES` when left out.
+        seed: of heights, and of who goes up and who down.
+
+    Raises:
+        CourseError: no tile, an unknown kind, or no positive share.
+    """
+    s = settings or CourseSettings()
+    shares = SHARES if kinds is None else kinds
+    if s.levels < 1 or s.columns < 1 or not sum(shares.values()) > 0:
+        raise CourseError("A course needs at least one level, one column and one kind of ground.")
+    rng = np.random.default_rng(seed)
+    bounds = np.cumsum(list(shares.values())) / sum(shares.values())
+    names = list(shares)
+    row = [names[int(np.searchsorted(bounds, (c + 0.5) / s.columns))] for c in range(s.columns)]
+    margin = round(s.border / s.cell)
+    strips = [
+        np.concatenate([make_tile(kind, (level + 1) / s.levels, s, rng) for kind in row], axis=1)
+        for level in range(s.levels)
+    ]
+    heights = np.pad(np.concatenate(strips, axis=0), margin).astype(np.float32)
+    corner = 0.5 * s.cell - s.border
+    return Course(Terrain(heights, s.cell, (corner, corner)), s, (tuple(row),) * s.levels)
