@@ -10,28 +10,13 @@ from typing import Any
 
 from ..messages.config import ConfigError
 from ..messages.graph import Graph, Input, NodeSpec
-from ..messages.topics import (
-    ADMISSIONS,
-    AGENTS,
-    BODIES,
-    BODY_STATES,
-    CONTACTS,
-    DIAGNOSTICS,
-    FALLS,
-    LOG,
-    MAP,
-    OBJECTIVES,
-    PARAMETERS,
-    PLANS,
-    SCORE,
-)
+from ..messages.shown_topics import SHOWN
+from ..messages.topics import DIAGNOSTICS, LOG, PARAMETERS
 from .wiring import with_node
 
 VIEWER = "viewer"
 PORT = 8080
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
-_LATEST = (MAP, BODIES, BODY_STATES, AGENTS, PLANS, OBJECTIVES, CONTACTS, SCORE, PARAMETERS)
-_QUEUED = {FALLS.name: 50, ADMISSIONS.name: 50, DIAGNOSTICS.name: 10, LOG.name: 200}
 
 
 def with_viewer(graph: Graph, config: Mapping[str, Any]) -> Graph:
@@ -43,8 +28,12 @@ def with_viewer(graph: Graph, config: Mapping[str, Any]) -> Graph:
     """
     published = {topic for node in graph.nodes for topic in node.outputs.values()}
     published |= {DIAGNOSTICS.name, LOG.name, PARAMETERS.name}
-    wires = {topic.name: Input(topic.name) for topic in _LATEST}
-    wires |= {name: Input(name, "queue", depth) for name, depth in _QUEUED.items()}
+    wires = {
+        shown.topic.name: Input(shown.topic.name, "queue", shown.queue)
+        if shown.queue
+        else Input(shown.topic.name)
+        for shown in SHOWN
+    }
     viewer = NodeSpec(
         VIEWER,
         "footfall.nodes.viewer",

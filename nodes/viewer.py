@@ -10,22 +10,25 @@ import sys
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from time import monotonic
-from typing import Annotated
+from typing import Annotated, Any
 
 from msgspec import Meta
 
 from ..messages.bus import take
 from ..messages.config import ConfigError, configure
 from ..messages.link import Request, Steer
+from ..messages.topics import AGENTS, LOG
 from .node import NodeConfig
 from .process import Process, run_process
 from .viewer_clicks import Clicks
 from .viewer_panels import Panels
 from .viewer_picture import Picture
 from .viewer_place import look_at_place
+from .viewer_refusals import Refusals
 from .viewer_scene import Scene
 from .viewer_server import Window
 from .viewer_steering import SteeringPanel
+from .viewer_trails import Trails
 
 log = logging.getLogger(__name__)
 
@@ -66,7 +69,9 @@ class Viewer:
         self.window = Window(config.host, config.port, process.graph.name, read_token(config.token_file))
         server = self.window.server
         self.outbox: SimpleQueue[Request | Steer] = SimpleQueue()
-        self.scene = Scene(server)
+        self.trails = Trails()
+        self.scene = Scene(server, trails=lambda: self.trails)
+        self._warned = Refusals(server)
         steering = SteeringPanel(server, self.outbox.put) if config.steering else None
         self.panels = Panels(server, [self.scene])
         clicks = Clicks(server, lambda: self.picture, self.panels.select)
@@ -85,13 +90,21 @@ class Viewer:
             wait = self._drawn + 1 / self.config.rate_hz - monotonic()
             process.wait(lambda: False, min(0.05, max(0.0, wait)))
             for received in take(process.bus):
-                self.picture.take(received.port, received.message, received.stamp_ns)
+                self.take(received.port, received.message, received.stamp_ns)
             process.now_ns = self.picture.now_ns
             self._pass_on()
             if monotonic() - self._drawn >= 1 / self.config.rate_hz:
                 begin = monotonic()
                 self.draw()
                 process.time_step(monotonic() - begin)
+
+    def take(self, topic: str, message: Any, stamp_ns: int) -> None:
+        """Take one message into the picture."""
+        self.picture.take(topic, message, stamp_ns)
+        if topic == AGENTS.name:
+            self.trails.take(message, stamp_ns)
+        elif topic == LOG.name:
+            self._warned.take(message)
 
     def draw(self) -> None:
         """Bring the window up to date, if anybody looks."""

@@ -17,6 +17,7 @@ LAYERS = {
     "people": "People",
     "disks": "Disks",
     "tracks": "Tracks (last 3 s)",
+    "trails": "Ways of the whole run",
     "plans": "Plans",
     "samples": "Samples not chosen",
     "waypoints": "Waypoints",

@@ -32,26 +32,8 @@ from ..messages.topics import (
     PARAMETERS,
     PLANS,
     SCORE,
-    Topic,
 )
 
-SHOWN: tuple[Topic, ...] = (
-    ADMISSIONS,
-    AGENTS,
-    BODIES,
-    BODY_STATES,
-    CLOCK,
-    CONTACTS,
-    DIAGNOSTICS,
-    FALLS,
-    LOG,
-    MAP,
-    OBJECTIVES,
-    PARAMETERS,
-    PLANS,
-    SCORE,
-)
-"""Topics a picture is made of; any of them may be missing."""
 FALL_SHOWN = 3.0
 """How long a fall is pointed out [s]."""
 LINES = 200

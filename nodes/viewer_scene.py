@@ -1,5 +1,6 @@
 """Draws a picture into a viser scene, and only what has changed since the last time."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from .viewer_people import Part, colours_of, dressed
 from .viewer_picture import Picture
 from .viewer_place import PlaceDrawing
 from .viewer_shapes import KNOB, PIN, RING, SPOT, Mesh
+from .viewer_trails import Trails
 
 if TYPE_CHECKING:
     import viser
@@ -42,6 +44,7 @@ class Shown:
     people: bool = True
     disks: bool = True
     tracks: bool = True
+    trails: bool = False
     plans: bool = True
     samples: bool = True
     waypoints: bool = True
@@ -61,6 +64,7 @@ class Scene:
         tint: Colour (3,) uint8 of everybody, to tell two runs apart; None for own colours.
         offset: World x, y by which everything is moved [m].
         ground: Whether the place is drawn too.
+        trails: Gives the ways of the whole run, once they are to be shown.
     """
 
     def __init__(
@@ -70,18 +74,21 @@ class Scene:
         tint: np.ndarray | None = None,
         offset: tuple[float, float] = (0.0, 0.0),
         ground: bool = True,
+        trails: Callable[[], Trails] | None = None,
     ) -> None:
         self.shown = Shown()
         self.selected: int | None = None
         self._server = server
         self._root = root
         self._tint = tint
+        self.trails = trails
         self._offset = np.array([*offset, 0.0])
         self._parts: list[tuple[Part, Any]] = []
         self._row_of: dict[int, int] = {}
         self._radii = np.zeros(0)
         self._present = np.zeros(0, bool)
         self._handles: dict[str, Any] = {}
+        self._trails_drawn = -1
         self._labels: dict[str, Any] = {}
         self._frame = server.scene.add_frame(root, show_axes=False, position=self._offset)
         self._place = PlaceDrawing(server, root) if ground else None
@@ -102,6 +109,7 @@ class Scene:
                 self._draw_labels(picture)
             if everything or AGENTS.name in changed:
                 self._draw_tracks(picture)
+                self._draw_trails(picture)
             if everything or {PLANS.name, AGENTS.name} & changed:
                 self._draw_plans(picture)
             if everything or PLANS.name in changed:
@@ -238,6 +246,17 @@ class Scene:
         there = (past[:, :-1, 6] > 0) & (past[:, 1:, 6] > 0)
         colours = self._colours(agents.ids)[:, None].repeat(segments.shape[1], axis=1)
         self._lines("tracks", picture.on_ground(segments[there], 0.03), colours[there] // 2, 2.0)
+
+    def _draw_trails(self, picture: Picture) -> None:
+        """Everybody's way since the beginning, as far as it leads up to now."""
+        if not self.shown.trails or self.trails is None:
+            self._drop("trails")
+            self._trails_drawn = -1
+            return
+        ids, segments = self.trails().until(picture.now_ns)
+        if len(ids) != self._trails_drawn:  # they grow much more rarely than people move
+            self._trails_drawn = len(ids)
+            self._lines("trails", picture.on_ground(segments, 0.02), self._colours(ids), 1.5)
 
     def _draw_plans(self, picture: Picture) -> None:
         plans = picture.plans

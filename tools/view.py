@@ -146,14 +146,16 @@ class LogViewer:
         from ..nodes.viewer_scene import Scene
 
         if len(self.runs) == 1:
-            return [Scene(self.server)]
+            return [Scene(self.server, trails=self.runs[0].trails)]
         shift = 0.0
         place = self.runs[0].show(self.start).place
         if beside and place is not None:
             shift = place.raster.shape[2] * place.resolution + BESIDE_GAP
+        first, second = self.runs
+        tints = (None, None) if beside else TINTS
         return [
-            Scene(self.server, "/first", None if beside else TINTS[0]),
-            Scene(self.server, "/second", None if beside else TINTS[1], (shift, 0.0), ground=beside),
+            Scene(self.server, "/first", tints[0], trails=first.trails),
+            Scene(self.server, "/second", tints[1], (shift, 0.0), ground=beside, trails=second.trails),
         ]
 
     def run(self) -> None:

@@ -7,28 +7,15 @@ from typing import Any
 
 from ..messages.log import LogError, LogReader
 from ..messages.log_reader import Logged
-from ..messages.topics import (
-    AGENTS,
-    BODIES,
-    BODY_STATES,
-    CONTACTS,
-    DIAGNOSTICS,
-    FALLS,
-    LOG,
-    MAP,
-    OBJECTIVES,
-    PARAMETERS,
-    PLANS,
-    SCORE,
-)
-from ..nodes.viewer_picture import FALL_SHOWN, LINES, Picture
+from ..messages.shown_topics import SHOWN, of_kind
+from ..messages.topics import AGENTS, BODY_STATES, FALLS
+from ..nodes.viewer_picture import FALL_SHOWN, Picture
+from ..nodes.viewer_trails import Trails
 
-STREAMS = (BODY_STATES, AGENTS, PLANS, CONTACTS)
-"""Large topics, read from the file second by second."""
-STATES = (MAP, BODIES, OBJECTIVES, SCORE)
-"""Topics of which the newest message holds."""
-EVENTS = (FALLS, LOG, DIAGNOSTICS, PARAMETERS)
-"""Topics of which several messages are shown."""
+STREAMS, STATES = of_kind("stream"), of_kind("state")
+"""Of which the newest message holds; the streams are read from the file second by second."""
+EVENTS = tuple(shown for shown in SHOWN if shown.kind == "event" and shown.recent)
+"""Of which several messages are shown."""
 SECONDS_KEPT = 20
 """Seconds of the log held in memory."""
 LOOK_BACK = 30
@@ -54,9 +41,12 @@ class LogPictures:
         self.picture = Picture()
         self._seconds: OrderedDict[int, dict[str, list[Logged[Any]]]] = OrderedDict()
         self._shown: dict[str, tuple[int, int] | None] = {}
-        self._small: dict[str, list[Logged[Any]]] = {topic.name: [] for topic in (*STATES, *EVENTS)}
+        self._small: dict[str, list[Logged[Any]]] = {
+            topic.name: [] for topic in (*STATES, *(event.topic for event in EVENTS))
+        }
         for item in self.reader.messages(set(self._small) & there):
             self._small[item.topic].append(item)
+        self._trails: Trails | None = None
         self._stamps = {name: [item.stamp_ns for item in items] for name, items in self._small.items()}
 
     def show(self, time: float) -> Picture:
@@ -76,6 +66,15 @@ class LogPictures:
                 picture.take(topic.name, item.message, item.stamp_ns)
         self._show_events(now_ns)
         return picture
+
+    def trails(self) -> Trails:
+        """Where everybody walks in the whole run; reads it all the first time."""
+        if self._trails is None:
+            self._trails = Trails()
+            if AGENTS.name in self.reader.topics:
+                for item in self.reader.read(AGENTS):
+                    self._trails.take(item.message, item.stamp_ns)
+        return self._trails
 
     def _newest(self, topic: str, now_ns: int) -> Logged[Any] | None:
         """The last message of a topic up to a time."""
@@ -107,7 +106,8 @@ class LogPictures:
         return found
 
     def _show_events(self, now_ns: int) -> None:
-        counts = {topic.name: bisect_right(self._stamps[topic.name], now_ns) for topic in EVENTS}
+        names = [event.topic.name for event in EVENTS]
+        counts = {name: bisect_right(self._stamps[name], now_ns) for name in names}
         key = (hash(tuple(counts.values())), 0)
         if self._shown.get("events") == key:
             return
@@ -115,7 +115,8 @@ class LogPictures:
         picture = self.picture
         picture.falls, picture.reports, picture.methods = [], {}, {}
         picture.lines.clear()
-        for topic, last in ((FALLS, 50), (LOG, LINES), (DIAGNOSTICS, 100), (PARAMETERS, 1000)):
-            for item in self._small[topic.name][max(0, counts[topic.name] - last) : counts[topic.name]]:
-                if topic is not FALLS or now_ns - item.stamp_ns <= FALL_SHOWN * 1e9:
-                    picture.take(topic.name, item.message, item.stamp_ns)
+        for event in EVENTS:
+            name = event.topic.name
+            for item in self._small[name][max(0, counts[name] - event.recent) : counts[name]]:
+                if event.topic is not FALLS or now_ns - item.stamp_ns <= FALL_SHOWN * 1e9:
+                    picture.take(name, item.message, item.stamp_ns)

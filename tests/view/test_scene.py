@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from footfall.messages.agents import AgentStates
+from footfall.messages.diagnostics import LogLine
 from footfall.messages.map import Obstacle
 from footfall.messages.steering import DropObstacle, Push, SetWaypoint
 from footfall.messages.topics import PLANS
@@ -14,9 +16,11 @@ from footfall.nodes.viewer_light import in_linear_light
 from footfall.nodes.viewer_panels import Panels
 from footfall.nodes.viewer_people import colour_of
 from footfall.nodes.viewer_picture import Picture
+from footfall.nodes.viewer_refusals import Refusals
 from footfall.nodes.viewer_scene import Scene
 from footfall.nodes.viewer_server import Window
 from footfall.nodes.viewer_steering import OBSTACLE, PUSH, SELECT, WAYPOINT, SteeringPanel, obstacle_at
+from footfall.nodes.viewer_trails import SPACING, Trails
 from footfall.tools.view import LogViewer
 from footfall.tools.view_log import LogPictures
 
@@ -153,3 +157,42 @@ def test_clicks_select_or_steer(server, messages):
     assert clicks.on_place is None
     assert obstacle_at(picture, (3.6, 3.4)) == "crate" and obstacle_at(picture, (0.0, 0.0)) is None
     assert PLANS.name in picture.changed
+
+
+def test_ways_of_the_whole_run_grow_with_time(server, run_log):
+    pictures = LogPictures(run_log)
+    scene = Scene(server, trails=pictures.trails)
+    scene.draw(pictures.show(3.0))
+    assert drawn(server, "/run/trails") is None
+    scene.shown.trails = True
+    scene.draw(pictures.show(3.0), everything=True)
+    points = drawn(server, "/run/trails").points
+    lengths = np.linalg.norm(np.diff(points[..., :2], axis=1), axis=-1)
+    assert lengths.sum() == pytest.approx(3 * 3.0, abs=3 * SPACING)  # three people, a metre a second
+    assert points[..., 0].min() == pytest.approx(-2.0) and points[..., 0].max() <= 1.0
+    scene.draw(pictures.show(1.0), everything=True)
+    assert len(drawn(server, "/run/trails").points) < len(points)
+
+
+def test_who_comes_back_has_not_walked_there():
+    def here(x: float, *ids: int) -> AgentStates:
+        history = np.zeros((len(ids), 31, 7), np.float32)
+        history[:, -1, 0] = x
+        return AgentStates(np.array(ids, np.int32), np.full(len(ids), -1, np.int32), history)
+
+    trails = Trails()
+    for stamp, (x, *ids) in enumerate([(0.0, 1, 2), (0.5, 1, 2), (1.0, 2), (1.2, 1, 2), (9.0, 2), (9.1, 2)]):
+        trails.take(here(x, *ids), stamp)
+    ids, segments = trails.until(99)
+    assert sorted(ids.tolist()) == [1, 2, 2] == sorted(ids.tolist())
+    assert np.abs(np.diff(segments[..., 0], axis=1)).max() == pytest.approx(0.5)
+    assert trails.until(0)[1].shape == (0, 2, 2)
+
+
+def test_a_refusal_is_told_once_and_other_lines_are_not(server):
+    told = Refusals(server)
+    line = LogLine("director", "WARNING", "steering: there is no person 9; they are numbered 0 to 4\n")
+    assert told.take(line) == "there is no person 9; they are numbered 0 to 4"
+    assert told.take(line) is None  # pressed twice
+    assert told.take(LogLine("director", "INFO", "steering: x")) is None
+    assert told.take(LogLine("planner", "WARNING", "slow")) is None
