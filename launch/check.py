@@ -2,7 +2,6 @@
 
 import importlib.util
 import os
-import re
 import socket
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,6 +10,7 @@ from ..messages.bus import PortError
 from ..messages.config import ConfigError, near
 from ..messages.graph import LAUNCHER, Graph, NodeSpec, edges
 from ..messages.topics import CLOCK, Topic
+from .check_remotes import check_remotes, tcp_address
 from .wiring import clock_owners
 
 
@@ -44,6 +44,7 @@ def check(graph: Graph, topics: Mapping[str, Topic]) -> None:
                 f"{graph.name}: node {node.name} owns the clock, and with it time would begin anew;"
                 " it cannot have a `restart` policy"
             )
+    check_remotes(graph, topics)
     _check_clock(graph)
     _check_publishers(graph, topics)
     _check_exposed(graph)
@@ -78,6 +79,15 @@ def _check_port(
 
 def _check_clock(graph: Graph) -> None:
     owners = clock_owners(graph)
+    elsewhere = graph.remote_publishers(CLOCK.name)
+    if not owners and len(elsewhere) == 1:
+        if graph.clock.mode == "lockstep":
+            raise ConfigError(
+                f"{graph.name}: the clock is that of {elsewhere[0]}, elsewhere, which waits for nobody here;"
+                " say `clock: {mode: realtime}`"
+            )
+        return
+    owners += elsewhere
     if len(owners) != 1:
         found = f"nodes {' and '.join(owners)} do" if owners else "none does"
         raise ConfigError(f"{graph.name}: exactly one node must own the clock (output `clock`); {found}")
@@ -88,12 +98,12 @@ def _check_clock(graph: Graph) -> None:
 def _check_publishers(graph: Graph, topics: Mapping[str, Topic]) -> None:
     for node in graph.nodes:
         for port, wire in node.inputs.items():
-            if not graph.publishers(wire.topic):
+            if not graph.publishers(wire.topic) and not graph.remote_publishers(wire.topic):
                 raise ConfigError(
                     f"{graph.name}: nobody publishes {wire.topic!r}, which node {node.name} takes as {port!r}"
                 )
     for name in {name for node in graph.nodes for name in node.outputs.values()}:
-        publishers = graph.publishers(name)
+        publishers = graph.publishers(name) + graph.remote_publishers(name)
         if len(publishers) > 1 and not topics[name].shared:
             raise ConfigError(
                 f"{graph.name}: {name!r} may have one publisher;"
@@ -115,12 +125,10 @@ def _check_exposed(graph: Graph) -> None:
             load_secret(security.secret_key_file)
         except PortError as error:
             raise ConfigError(str(error)) from None
-        match = re.fullmatch(r"tcp://([^:/\s]+|\[[0-9a-fA-F:]+\]):(\d+)", address)
-        if not match or not 0 < int(match[2]) < 65536:
-            raise ConfigError(f"{where}: {address!r} must be tcp://HOST:PORT, HOST an address or `*`")
+        host, number = tcp_address(where, address)
         if not any(Path(security.authorized_keys_dir).glob("*.key")):
             raise ConfigError(f"{where}: no keys in {security.authorized_keys_dir}, so nobody could connect")
-        _check_free(where, match[1].strip("[]"), int(match[2]))
+        _check_free(where, host, number)
 
 
 def _check_free(where: str, host: str, port: int) -> None:

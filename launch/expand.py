@@ -100,6 +100,10 @@ def _resolve_key_files(values: dict[str, Any], path: Path) -> None:
             key: str(path.parent / Path(value).expanduser()) if isinstance(value, str) else value
             for key, value in security.items()
         }
+    if isinstance(remotes := values.get("remotes"), dict):
+        for remote in remotes.values():
+            if isinstance(remote, dict) and isinstance(key_file := remote.get("server_key_file"), str):
+                remote["server_key_file"] = str(path.parent / Path(key_file).expanduser())
 
 
 def _find(path: Path, file: str) -> Path:

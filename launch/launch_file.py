@@ -8,7 +8,7 @@ from typing import Any, Literal
 import msgspec
 
 from ..messages.config import ConfigError, configure, near
-from ..messages.graph import ClockSpec, Graph, Input, NodeSpec, Restart, Security
+from ..messages.graph import ClockSpec, Graph, Input, NodeSpec, Remote, Restart, Security
 from .expand import Include, expand
 
 DEFAULT_DEPTH = {"latest": 1, "queue": 10, "reliable": 100}
@@ -72,6 +72,8 @@ class LaunchFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     nodes: dict[str, Any] = {}
     """By name; `null` takes out an included one."""
     security: Security | None = None
+    remotes: dict[str, Remote] = {}
+    """Graphs elsewhere whose exposed topics are heard here, by the name they go by here."""
 
 
 def load_launch(
@@ -122,6 +124,7 @@ def load_launch(
         duration=file.duration,
         custom_topics=file.topics,
         security=file.security,
+        remotes=file.remotes,
     )
 
 

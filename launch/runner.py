@@ -15,9 +15,10 @@ from ..messages.config import near
 from ..messages.diagnostics import Control, Diagnostics, InputStats, OutputStats
 from ..messages.graph import LAUNCHER, Graph
 from ..messages.link import Failed, Finished, Go, Line, Publish, Ready, Reply, Request, Steer
+from ..messages.remote import connect_remotes
 from ..messages.score import Score
 from ..messages.steering import Steering
-from ..messages.topics import CONTROL, DIAGNOSTICS, GRAPH, LOG, SCORE, STEERING, Topic
+from ..messages.topics import CLOCK, CONTROL, DIAGNOSTICS, GRAPH, LOG, SCORE, STEERING, Topic
 from ..messages.zmq_bus import ZmqBus
 from .console import Console, status_text
 from .link_server import LinkServer
@@ -81,6 +82,8 @@ class Runner:
         self._outside = Outside(self.graph, topics)
         self._score: Score | None = None
         self._sim_ns = 0
+        self._joined_ns: int | None = None
+        """With a clock elsewhere: the time there when everybody here was ready."""
         self._begun = self._started = self._finished = monotonic()
 
     def run(self) -> Summary:
@@ -98,6 +101,7 @@ class Runner:
                 stack.callback(self.link.close)
                 self.bus = ZmqBus(self.graph, LAUNCHER, self._topics)
                 stack.callback(self.bus.close)
+                connect_remotes(self.bus, self.graph, LAUNCHER, self._topics)
                 self.bus.publish(GRAPH, self.graph, 0)
                 try:
                     self._run()
@@ -162,6 +166,8 @@ class Runner:
     def _take_messages(self) -> None:
         for received in take(self.bus):
             self._sim_ns = max(self._sim_ns, received.stamp_ns)
+            if self._going and received.port == CLOCK.name and received.publisher in self.graph.remotes:
+                self._follow_remote_clock(received.stamp_ns)
             if received.port == DIAGNOSTICS.name:
                 self._signs.heard(received.message.node)
                 self._counts.take(received.message)
@@ -172,6 +178,13 @@ class Runner:
                 text = line.text.strip().splitlines()[-1] if line.text.strip() else ""
                 important = line.level != "WARNING"
                 self._console.say(f"[{line.node}] {line.level.lower()}: {text}", important)
+
+    def _follow_remote_clock(self, now_ns: int) -> None:
+        """The owner of a clock elsewhere knows nothing of the duration wanted here."""
+        self._joined_ns = now_ns if self._joined_ns is None else self._joined_ns
+        duration = self.graph.duration
+        if duration is not None and now_ns - self._joined_ns >= round(duration * 1e9):
+            self._ended = self._ended or f"{duration:g} s simulated"
 
     def _take_line(self, identity: bytes, line: Line) -> None:
         if isinstance(line, (Ready, Finished, Failed)) and line.node not in self.supervisor.names:

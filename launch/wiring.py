@@ -98,8 +98,9 @@ def with_recorder(graph: Graph, config: Mapping[str, Any], topics: Mapping[str, 
     )
     graph = with_node(graph, recorder)
     published = {topic for node in graph.nodes for topic in node.outputs.values()}
+    published.update(*(remote.topics for remote in graph.remotes.values()))
     wire = {
-        name: Input(name, "reliable", RECORDER_DEPTH)
+        name: Input(name, "queue" if graph.remote_publishers(name) else "reliable", RECORDER_DEPTH)
         for name, topic in topics.items()
         if topic.recorded and name in published
     }

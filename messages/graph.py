@@ -81,8 +81,18 @@ class Security(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     secret_key_file: str
     """CURVE certificate of this graph, readable by its owner only."""
-    authorized_keys_dir: str
-    """Public certificates of the clients that may connect; anybody else is refused."""
+    authorized_keys_dir: str = ""
+    """Public certificates of the clients that may connect; anybody else is refused. Needed where something
+    is exposed."""
+
+
+class Remote(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A graph elsewhere, whose exposed topics are heard here."""
+
+    topics: dict[str, str]
+    """TCP address by topic, `agents: tcp://192.168.1.7:7000`."""
+    server_key_file: str
+    """The public certificate of that graph."""
 
 
 class Graph(msgspec.Struct, frozen=True):
@@ -100,6 +110,8 @@ class Graph(msgspec.Struct, frozen=True):
     security: Security | None = None
     versions: dict[str, str] = {}
     """Releases of the packages it runs with."""
+    remotes: dict[str, Remote] = {}
+    """Graphs elsewhere by the name under which they publish here."""
 
     def node(self, name: str) -> NodeSpec:
         """The node of that name.
@@ -115,6 +127,10 @@ class Graph(msgspec.Struct, frozen=True):
     def publishers(self, topic: str) -> list[str]:
         """Names of the nodes that publish a topic, in launch order."""
         return [node.name for node in self.nodes if topic in node.outputs.values()]
+
+    def remote_publishers(self, topic: str) -> list[str]:
+        """Names of the graphs elsewhere from which a topic comes."""
+        return [name for name, remote in self.remotes.items() if topic in remote.topics]
 
 
 class Edge(msgspec.Struct, frozen=True):
@@ -161,4 +177,14 @@ def edges(graph: Graph) -> list[Edge]:
         for node in graph.nodes
         for port, wire in node.inputs.items()
         for publisher in graph.publishers(wire.topic)
+    ]
+
+
+def remote_edges(graph: Graph) -> list[Edge]:
+    """All wires from graphs elsewhere; nobody there waits for a subscriber here."""
+    return [
+        Edge(wire.topic, remote, node.name, port, wire, reliable=False, in_step=False)
+        for node in graph.nodes
+        for port, wire in node.inputs.items()
+        for remote in graph.remote_publishers(wire.topic)
     ]

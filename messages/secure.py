@@ -95,7 +95,7 @@ def require_keys(what: str, address: str, security: Security | None) -> Security
     """
     if not address.startswith("tcp://"):
         raise PortError(f"{what}: cannot expose it at {address!r}; must be like tcp://0.0.0.0:7000")
-    if security is None:
+    if security is None or not security.authorized_keys_dir:
         raise PortError(
             f"{what}: exposing it at {address} needs keys: set `security: {{secret_key_file: ..., "
             "authorized_keys_dir: ...}` (`footfall keys new` makes them)"

@@ -25,6 +25,7 @@ from ..messages.custom_topics import resolve_topics
 from ..messages.diagnostics import Diagnostics, InputStats, Level, LogLine, OutputStats
 from ..messages.graph import OUTSIDE, Edge, Graph, NodeSpec, patience
 from ..messages.link import Deliver, Failed, Finished, Go, Link, Ready, Stop, load_graph
+from ..messages.remote import connect_remotes
 from ..messages.topics import DIAGNOSTICS, LOG, Outgoing, Topic
 from ..messages.zmq_bus import ZmqBus
 
@@ -36,6 +37,8 @@ RECONNECT_TIMEOUT = 5.0
 """The same for a restarted node, which then goes on without those who are not there either [s]."""
 DIAGNOSTICS_PERIOD = 1.0
 """[s] of wall time; shorter where the launcher would not wait for several of them."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that ask the process to end."""
 
 
 class Stopped(Exception):  # noqa: N818 - not an error
@@ -53,6 +56,7 @@ class Process:
         self.restarts = int(os.environ.get("FOOTFALL_RESTARTS", "0"))
         self.link = Link(graph.run_dir, name)
         self.bus = ZmqBus(graph, name, self.topics, self.restarts)
+        connect_remotes(self.bus, graph, name, self.topics)
         self.facts: dict[str, float] = {}
         self.steps = 0
         self.now_ns = 0
@@ -69,7 +73,7 @@ class Process:
         self._log_file = _LogFile(Path(graph.run_dir) / "log" / f"{name}.jsonl", name, self._lines)
 
     def __enter__(self) -> "Process":
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in SIGNALS:
             signal.signal(number, self._on_signal)
         root = logging.getLogger()
         root.addHandler(self._log_file)
@@ -90,6 +94,8 @@ class Process:
         self._log_file.close()
         self.bus.close()
         self.link.close()
+        for number in SIGNALS:  # the interpreter is ending; a signal would make a failure of it
+            signal.signal(number, signal.SIG_IGN)
         return isinstance(error, Stopped)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:

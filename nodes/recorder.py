@@ -287,7 +287,10 @@ def record(process: Process) -> None:
                 raise recorder.full
     except Stopped:  # what is still on its way belongs into the log
         begin = monotonic()
-        while bus.poll(QUIET) and monotonic() - begin < FAREWELL:
+        here = [inlet for inlet in bus.inlets if inlet.edge.publisher not in process.graph.remotes]
+        while (
+            bus.poll(QUIET, lambda: any(inlet.pending for inlet in here)) and monotonic() - begin < FAREWELL
+        ):
             recorder.take(bus.inlets)
         raise
     finally:

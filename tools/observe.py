@@ -16,6 +16,7 @@ from ..messages.config import ConfigError, near
 from ..messages.custom_topics import resolve_topics
 from ..messages.graph import ClockSpec, Edge, Graph, Input, NodeSpec
 from ..messages.link import load_graph
+from ..messages.remote import connect_remotes
 from ..messages.secure import ClientKeys
 from ..messages.topics import TOPICS, Topic
 from ..messages.zmq_bus import ZmqBus
@@ -62,7 +63,8 @@ def known_topic(name: str, topics: Mapping[str, Topic], among: Iterable[str] | N
 
 def published(graph: Graph) -> list[str]:
     """Names of the topics somebody publishes, sorted."""
-    return sorted({topic for node in graph.nodes for topic in node.outputs.values()})
+    local = {topic for node in graph.nodes for topic in node.outputs.values()}
+    return sorted(local.union(*(remote.topics for remote in graph.remotes.values())))
 
 
 def observer(graph: Graph, names: Iterable[str], depth: int = 1000) -> ZmqBus:
@@ -70,7 +72,10 @@ def observer(graph: Graph, names: Iterable[str], depth: int = 1000) -> ZmqBus:
     inputs = {name: Input(name, "queue", depth) for name in names}
     me = NodeSpec(f"observer-{os.getpid()}", __name__, inputs, lockstep=False)
     seen = msgspec.structs.replace(graph, nodes=[*graph.nodes, me])
-    return ZmqBus(seen, me.name, resolve_topics(graph))
+    topics = resolve_topics(graph)
+    bus = ZmqBus(seen, me.name, topics)
+    connect_remotes(bus, seen, me.name, topics)
+    return bus
 
 
 def remote(args: argparse.Namespace, topic: Topic) -> ZmqBus:

@@ -22,10 +22,12 @@ LITTLE = Path(__file__).parent / "little"
 class Launched:
     """`footfall launch` as a process of its own, in a session of its own."""
 
-    def __init__(self, arguments: tuple[str, ...], env: dict[str, str], cwd: Path) -> None:
+    def __init__(
+        self, arguments: tuple[str, ...], env: dict[str, str], cwd: Path, before: tuple[str, ...] = ()
+    ) -> None:
         self.mark = uuid.uuid4().hex
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "footfall.tools.cli", "launch", *arguments],
+            [*before, sys.executable, "-m", "footfall.tools.cli", "launch", *arguments],
             cwd=cwd,
             env={**os.environ, **env, "FOOTFALL_TEST_MARK": self.mark},
             stdout=subprocess.PIPE,
@@ -98,8 +100,13 @@ def launch(runs_home: Path) -> Iterator[Callable[..., Launched]]:
     """Start `footfall launch`; whatever it leaves is killed after the test."""
     started: list[Launched] = []
 
-    def start(*arguments: str, env: dict[str, str] | None = None, cwd: Path = LITTLE) -> Launched:
-        started.append(Launched(arguments, env or {}, cwd))
+    def start(
+        *arguments: str,
+        env: dict[str, str] | None = None,
+        cwd: Path = LITTLE,
+        before: tuple[str, ...] = (),
+    ) -> Launched:
+        started.append(Launched(arguments, env or {}, cwd, before))
         return started[-1]
 
     yield start
