@@ -22,7 +22,7 @@ import torch
 import torch.distributed as dist
 from torch import nn
 
-from ..models.trace.config import CONFIGS
+from ..models.trace.config import CONFIGS, TraceConfig
 from ..models.trace.crowd_file import Crowds
 from ..models.trace.diffusion import CosineSchedule
 from ..models.trace.network import Trace
@@ -34,7 +34,7 @@ from ..models.trace.training import (
     vary_observation,
 )
 from ..models.trace.vae import TraceVae, VaeStep, vae_loss
-from ..models.trace.weights import load_tensors, save_model, save_tensors
+from ..models.trace.weights import WeightsError, load_tensors, save_model, save_tensors
 from ..models.trace.windows import CrowdWindows
 from .train_curve import draw_curve
 
@@ -52,6 +52,9 @@ def add_parser(subparsers) -> None:
     folder = Path("data/orca")
     parser.add_argument(
         "--data", type=Path, nargs="+", default=[folder / "maps.npz", folder / "interact.npz"]
+    )
+    parser.add_argument(
+        "--start", type=Path, help="weights to begin with instead of random ones; they bring their statistics"
     )
     parser.add_argument("--out", type=Path, default=None, help="folder (default runs/MODEL_CONFIG)")
     parser.add_argument("--steps", type=int, default=40000, help="optimiser steps (default %(default)s)")
@@ -105,6 +108,8 @@ class TrainingRun:
         self.train = [CrowdWindows(s, "train", config, mirror=True) for s in sets]
         self.val = [CrowdWindows(s, "val", config, stride=4) for s in sets]
         fit_statistics(self.trace, self.train, torch.Generator().manual_seed(args.seed))
+        if args.start:
+            self.begin_with(args.start)
         self.schedule = CosineSchedule(config.diffusion_steps)
         self.optimizer = torch.optim.AdamW(
             self.trace.parameters(), lr=args.rate, weight_decay=1e-4, fused=True
@@ -116,6 +121,21 @@ class TrainingRun:
             self.resume()
         step = self.single_step(self.trace)
         self.model: nn.Module = nn.parallel.DistributedDataParallel(step) if world > 1 else step
+
+    def begin_with(self, path: Path) -> None:
+        """Take over weights and statistics.
+
+        Raises:
+            WeightsError: When the file is missing, or of another configuration.
+        """
+        tensors, facts = load_tensors(path)
+        if TraceConfig.from_dict(facts["config"]) != self.trace.config:
+            raise WeightsError(f"{path} has another configuration than --config {self.args.config}")
+        try:
+            self.trace.load_state_dict(tensors)
+        except RuntimeError as error:
+            raise WeightsError(f"{path} holds another model than --model {self.args.model}") from error
+        self.sources.append({"name": "start", "step": facts.get("step"), "data": facts.get("data")})
 
     def rate(self) -> float:
         """Learning rate of the next step."""
