@@ -7,10 +7,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ..models.pacer.courses import CourseSettings
 from ..models.pacer.walker_evaluation import Rollouts, roll_out
 from ..models.pacer.walker_weights import load_walker
 
 WEIGHTS = Path(__file__).parents[1] / "models" / "weights" / "pacer_compact.safetensors"
+
+COURSE = CourseSettings(levels=4, columns=8, tile=10.0, border=25.0)
+"""Random terrain."""
 
 
 class EvaluationError(ValueError):
@@ -21,7 +25,7 @@ def add_parser(subparsers) -> None:
     """Add `eval pacer` to the command line."""
     parser = subparsers.add_parser("pacer", help="the walker")
     parser.add_argument("--model", type=Path, default=WEIGHTS)
-    parser.add_argument("--terrain", choices=["flat"], default="flat")
+    parser.add_argument("--terrain", choices=["flat", "random"], default="flat")
     parser.add_argument("--rollouts", type=int, default=600)
     parser.add_argument("--people", type=int, default=30, help="different bodies")
     parser.add_argument("--duration", type=float, default=10.0, help="s of each rollout")
@@ -47,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
         people=args.people,
         duration=args.duration,
         push=args.push,
+        course=COURSE if args.terrain == "random" else None,
         seed=args.seed,
     )
     figures = result.summary() | gait_figures(result) | {"samples": facts.get("samples", 0)}

@@ -21,7 +21,9 @@ from ..models.motion.library import MotionLibrary
 from ..models.pacer.style import DemoWindows
 from ..models.pacer.walker_config import CONFIGS, WalkerConfig
 from ..models.pacer.walker_env import WalkerEnv
+from ..models.pacer.walker_observation import WAYPOINTS
 from ..models.pacer.walker_training import WalkerTraining
+from ..models.pacer.walker_weights import grown
 from ..models.trace.weights import load_tensors, save_tensors
 
 _DEMO_BODIES = 4  # of those who walk, on whom motion capture is shown to the discriminator
@@ -105,6 +107,15 @@ class TrainingRun:
         env = WalkerEnv(config, seed=args.seed)
         self.training = WalkerTraining(env, config, _demos(args, env))
         self.minutes = 0.0
+        if args.init:
+            tensors, _ = load_tensors(args.init)
+            weights = grown(tensors, env.size, len(tensors["normalizer.mean"]) + WAYPOINTS.start)
+            noise = self.training.model.log_std.clone()
+            try:
+                self.training.model.load_state_dict(weights)
+            except RuntimeError as error:
+                raise TrainingError(f"{args.init} does not fit --config {args.config}: {error}") from error
+            self.training.model.log_std.copy_(noise)
         if (self.folder / "state.safetensors").is_file():
             tensors, facts = load_tensors(self.folder / "state.safetensors")
             try:

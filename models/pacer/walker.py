@@ -20,6 +20,7 @@ from ..gait import flat_ground
 from ..gait.footholds import HeightAt
 from ..world.humanoid import actuated_joints
 from .gait_reference import GaitReference
+from .local_map import draw_local_maps
 from .mathops import heading
 from .paths import HORIZON, Paths
 from .policy import ActorCritic
@@ -55,7 +56,7 @@ class Walker:
         self.height_at = height_at
         self._model = model.eval()
         self._driven = driven_hinges(self.hinges, config.arms)
-        self._mirror = Mirror(self.hinges, self._driven)
+        self._mirror = Mirror(self.hinges, self._driven, config.map.cells if config.map else 0)
         self._ids: list[int] = []
         self._people: People | None = None
         self._reference: GaitReference | None = None
@@ -155,15 +156,26 @@ class Walker:
         pelvis = states[:, 0, :2]
         reference.advance(paths.at(times + reference.preview), pelvis)
         clear = clearance(motion.sole_points(people.soles), self.height_at)
+        way = heading(states[:, 0, 3:7])
+        maps = None
+        if self.config.map:
+            velocity = states[:, 0, 7:9]
+            maps = draw_local_maps(pelvis, way, velocity, self.height_at, self.config.map)
         seen = observe(
-            motion, people, reference, paths.waypoints(times), clear, self.hinges, self.config.body_aware
+            motion,
+            people,
+            reference,
+            paths.waypoints(times),
+            clear,
+            self.hinges,
+            self.config.body_aware,
+            maps,
         )
         mirrored = reference.steps["phase"] >= 0.5
         seen[mirrored] = self._mirror.observations(seen[mirrored])
         self._seen = torch.from_numpy(seen)
-        ahead = heading(states[:, 0, 3:7])
-        aside = np.stack([-ahead[:, 1], ahead[:, 0]], -1) * np.where(mirrored, -1.0, 1.0)[:, None]
-        self._axes = torch.from_numpy(np.stack([ahead, aside], 1)).float()
+        aside = np.stack([-way[:, 1], way[:, 0]], -1) * np.where(mirrored, -1.0, 1.0)[:, None]
+        self._axes = torch.from_numpy(np.stack([way, aside], 1)).float()
         self._pelvis = torch.from_numpy(pelvis.copy()).float()
         actions = self._model.act(self._seen).numpy()
         actions[mirrored] = self._mirror.actions(actions[mirrored])

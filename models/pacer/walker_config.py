@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from .batch_world import Physics
+from .courses import CourseSettings
+from .local_map import COMPACT_MAP, MapSettings
 from .path_follower import FollowerLimits
 from .paths import PathSettings
 
@@ -69,6 +71,10 @@ class WalkerConfig:
     paths: PathSettings = field(
         default_factory=lambda: PathSettings(duration=16.0, vertices=161, speed_range=(0.0, 2.2))
     )
+    course: CourseSettings | None = None
+    """Ground to walk on; None is level."""
+    map: MapSettings | None = None
+    """What is seen of the surroundings; None is nothing."""
     limits: FollowerLimits = field(default_factory=FollowerLimits)
     easy_paths: PathSettings = field(
         default_factory=lambda: PathSettings(
@@ -119,8 +125,11 @@ class WalkerConfig:
     seed: int = 0
 
 
+_SMALL_COURSE = CourseSettings(levels=4, columns=8, tile=10.0, border=25.0)
+
 CONFIGS: dict[str, WalkerConfig] = {
     "compact": WalkerConfig(),
+    "compact_terrain": WalkerConfig(course=_SMALL_COURSE, map=COMPACT_MAP),
     "paper": WalkerConfig(
         worlds=2048,
         people=473,
@@ -129,6 +138,8 @@ CONFIGS: dict[str, WalkerConfig] = {
         arms=True,
         hidden=(2048, 1024),
         paths=PathSettings(duration=16.0, vertices=161),
+        course=CourseSettings(columns=20, border=50.0),
+        map=MapSettings(),
         lost=4.0,
         noise=0.055,
         horizon=32,
@@ -140,4 +151,5 @@ CONFIGS: dict[str, WalkerConfig] = {
         rate_bounds=(2e-5, 2e-5),
     ),
 }
-"""``paper``: PACER's body, networks, numbers of bodies and PPO settings (app. B)."""
+"""``compact_terrain``: goes on from ``compact`` on slopes and stairs.
+``paper``: PACER's body, networks, numbers of bodies and PPO settings (app. B)."""

@@ -12,7 +12,10 @@ from ..body import BODY_INDEX, JOINT_GAINS, Body, describe, sample_shapes
 from ..body.skeleton import GAIN_REFERENCE_MASS
 from ..gait import flat_ground
 from .batch_world import EVERYONE, BatchWorld
+from .courses import make_course
 from .gait_reference import GaitReference
+from .local_map import draw_local_maps
+from .mathops import heading
 from .paths import Paths, sample_paths, with_stops
 from .style import StyleHistory, feature_count, style_features
 from .walker_config import WalkerConfig
@@ -75,10 +78,13 @@ class WalkerEnv:
         count = worlds or config.worlds
         if bodies is None:
             bodies = [describe(shape) for shape in sample_shapes(min(config.people, count), seed)]
-        self.world = BatchWorld(bodies, count, config.physics)
+        self.course = make_course(config.course, seed=seed) if config.course else None
+        """What there is to walk on; None is level ground."""
+        terrain = self.course.terrain if self.course else None
+        self.world = BatchWorld(bodies, count, config.physics, terrain)
         self.people = People.of([bodies[i] for i in self.world.body_index])
         self.period = config.physics.control_period
-        self.height_at = flat_ground
+        self.height_at = terrain.height_at if terrain else flat_ground
         self.reference = GaitReference(
             [bodies[i] for i in self.world.body_index], self.period, self.height_at, config.limits
         )
@@ -86,7 +92,7 @@ class WalkerEnv:
         self.n_actions = len(self.driven)
         self.rng = np.random.default_rng(seed)
         self.paths = Paths(np.zeros((count, config.paths.vertices, 2)), config.paths.duration)
-        self.mirror = Mirror(self.world.hinges, self.driven)
+        self.mirror = Mirror(self.world.hinges, self.driven, config.map.cells if config.map else 0)
         self.mirrored = np.zeros(count, dtype=bool)
         """(N,) whose last observation, and so whose next action, is a mirror image."""
         self.difficulty = 1.0
@@ -157,10 +163,21 @@ class WalkerEnv:
             self.clear,
             self.world.hinges,
             self.config.body_aware,
+            self._maps(),
         )
         self.mirrored = self.reference.steps["phase"] >= 0.5
         seen[self.mirrored] = self.mirror.observations(seen[self.mirrored])
         return seen
+
+    def _maps(self) -> Floats | None:
+        """What is seen of the surroundings (N, cells, cells, 3)."""
+        settings, motion = self.config.map, self.motion
+        if settings is None:
+            return None
+        way = heading(motion.quaternions[:, 0])
+        pelvis = motion.positions[:, 0, :2]
+        alone = np.arange(len(self))
+        return draw_local_maps(pelvis, way, motion.velocity[:, :2], self.height_at, settings, alone)
 
     def unmirrored(self, actions: Floats) -> Floats:
         """Actions (N, A) as the bodies take them, of actions that answer the last observations."""
@@ -252,7 +269,7 @@ class WalkerEnv:
         rng, n, config = self.rng, len(ids), self.config
         headings = rng.uniform(-np.pi, np.pi, n)
         settings = config.easy_paths.towards(config.paths, self.difficulty)
-        paths = sample_paths(np.zeros((n, 2)), headings, rng, settings)
+        paths = sample_paths(self.starts(n), headings, rng, settings)
         speeds = np.linalg.norm(paths.vertices[:, 1] - paths.vertices[:, 0], axis=1) / paths.spacing
         resting = rng.random(n) < config.standing
         stops = ~resting & (rng.random(n) < _STOPS)
@@ -273,6 +290,16 @@ class WalkerEnv:
             world.joints,
             world.joint_velocities,
         )
+
+    def starts(self, count: int) -> Array:
+        """Places (n, 2) to begin at, m: the middles of tiles no harder than the present difficulty."""
+        if self.course is None:
+            return np.zeros((count, 2))
+        centres = self.course.centres()
+        hardest = round(self.difficulty * (len(centres) - 1))
+        rows = self.rng.integers(hardest + 1, size=count)
+        columns = self.rng.integers(centres.shape[1], size=count)
+        return centres[rows, columns] + self.rng.uniform(-1.0, 1.0, (count, 2))
 
     def settle(self, ids: NDArray[np.intp]) -> None:
         """Read the motion, and forget where soles were before people (n,) were put somewhere."""

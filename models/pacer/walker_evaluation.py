@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..body import describe, sample_shapes
+from .courses import CourseSettings
 from .paths import PathSettings, sample_paths, with_stops
 from .policy import ActorCritic
 from .walker_config import WalkerConfig
@@ -77,6 +78,7 @@ def roll_out(
     duration: float = 10.0,
     paths: PathSettings | None = None,
     push: float = 0.0,
+    course: CourseSettings | None = None,
     seed: int = 0,
 ) -> Rollouts:
     """Walk `rollouts` random paths at once, without noise.
@@ -88,11 +90,12 @@ def roll_out(
         people: different bodies, drawn from the population but for training's.
         duration: of each rollout, s.
         paths: how the paths wander; `evaluation_paths` when left out.
+        course: ground to walk on; level when left out.
         push: N for 0.2 s on the chest from a random side, 3 s after the start.
         seed: of paths and pushes.
     """
     paths = paths or evaluation_paths(duration)
-    config = replace(config, push_interval=0.0, paths=paths, easy_paths=paths)
+    config = replace(config, push_interval=0.0, paths=paths, easy_paths=paths, course=course)
     bodies = [describe(shape) for shape in sample_shapes(min(people, rollouts), PEOPLE_SEED)]
     env = WalkerEnv(config, rollouts, bodies, seed)
     start_walks(env, seed)
@@ -138,7 +141,7 @@ def start_walks(env: WalkerEnv, seed: int) -> None:
     """Put everybody at the beginning of a random path, a fifth of them at rest."""
     rng, n = np.random.default_rng(seed), len(env)
     headings = rng.uniform(-np.pi, np.pi, n)
-    paths = sample_paths(np.zeros((n, 2)), headings, rng, env.config.paths)
+    paths = sample_paths(env.starts(n), headings, rng, env.config.paths)
     speeds = np.linalg.norm(paths.vertices[:, 1] - paths.vertices[:, 0], axis=1) / paths.spacing
     resting = rng.random(n) < _RESTING
     paths = with_stops(paths, np.where(resting, -10.0, 1e4), np.where(resting, rng.uniform(0.2, 2.0, n), 1e4))

@@ -118,6 +118,7 @@ def observe(
     clear: Array,
     hinges: NDArray[np.intp],
     body_aware: bool = True,
+    maps: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """Observations (N, size), in each person's heading frame.
 
@@ -134,6 +135,7 @@ def observe(
         clear: (N, 2, 5) `clearance` of the sole points, m.
         hinges: (H,) which hinges exist.
         body_aware: whether to tell the shape; zeros otherwise.
+        maps: (N, cells, cells, 3) of the surroundings, if they are seen.
     """
     count = len(motion.positions)
     pelvis, quaternion = motion.positions[:, 0], motion.quaternions[:, 0]
@@ -174,6 +176,7 @@ def observe(
             reference.follower.turn_rate[:, None],
             2.0 * (reference.joints[:, hinges] - motion.joints),
             0.1 * reference.rates[:, hinges],
+            np.zeros((count, 0)) if maps is None else (maps * MAP_SCALES).reshape(count, -1),
             ahead.reshape(count, -1),
         ],
         axis=1,
@@ -183,6 +186,8 @@ def observe(
     return np.clip(np.nan_to_num(whole), -LIMIT, LIMIT)
 
 
+MAP_SCALES: NDArray[np.float32] = np.array([5.0, 0.5, 0.5], dtype=np.float32)
+"""Factors of the maps' heights and velocities: 5 is PACER's."""
 WAYPOINTS = slice(-20, None)
 """Columns of the observation that hold the waypoints, x y each, m, heading frame."""
 
@@ -201,9 +206,10 @@ class Mirror:
     Args:
         hinges: (H,) which of the 69 hinges exist.
         driven: (A,) which of those H an action shifts; all when left out.
+        cells: along each side of the maps; 0 without.
     """
 
-    def __init__(self, hinges: NDArray[np.intp], driven: NDArray[np.intp] | None = None):
+    def __init__(self, hinges: NDArray[np.intp], driven: NDArray[np.intp] | None = None, cells: int = 0):
         place = np.full(len(MIRROR_JOINTS), -1)
         place[hinges] = np.arange(len(hinges))
         self.hinges: NDArray[np.intp] = place[MIRROR_JOINTS[hinges]]
@@ -231,11 +237,15 @@ class Mirror:
             *[(range(3), polar)] * 4,
             ([0], [-1.0]),
             *[(self.hinges, self.signs)] * 2,
+            (_swapped_map(cells), [1.0, 1.0, -1.0] * cells**2),
             (range(20), [1.0, -1.0] * 10),
         ]
         starts = np.cumsum([0] + [len(signs) for _, signs in parts])
         self.columns: NDArray[np.intp] = np.concatenate(
-            [start + np.asarray(order) for start, (order, _) in zip(starts, parts, strict=False)]
+            [
+                start + np.asarray(order, dtype=np.intp)
+                for start, (order, _) in zip(starts, parts, strict=False)
+            ]
         )
         """(size,) counterpart of each column of an observation."""
         self.column_signs: NDArray[np.float32] = np.concatenate([signs for _, signs in parts]).astype(
@@ -256,3 +266,8 @@ class Mirror:
 def _swapped(order: list[int], width: int) -> NDArray[np.intp]:
     """Columns of groups of `width` in another order."""
     return (width * np.array(order)[:, None] + np.arange(width)).ravel()
+
+
+def _swapped_map(cells: int) -> NDArray[np.intp]:
+    """Columns of a map (cells, cells, 3) whose second axis runs from right to left, mirrored."""
+    return np.arange(3 * cells**2).reshape(cells, cells, 3)[:, ::-1].ravel()

@@ -131,10 +131,13 @@ def test_the_mirror_is_that_of_a_person_who_walks_mirrored():
     waypoints = rng.normal(size=(1, 10, 2))
     people = People.of([body])
     seen = []
+    maps = rng.normal(size=(1, 4, 4, 3)).astype(np.float32)
+    other = maps[:, :, ::-1] * np.array([1.0, 1.0, -1.0], np.float32)
     for m, gait, sign in ((motion, left, 1.0), (mirrored_motion(motion, hinges), right, -1.0)):
         clear = clearance(m.sole_points(people.soles), lambda xy: np.zeros(len(xy)))
-        seen.append(observe(m, people, gait, waypoints * [1.0, sign], clear, hinges))
-    mirror = Mirror(hinges)
+        seen.append(observe(m, people, gait, waypoints * [1.0, sign], clear, hinges, True, maps))
+        maps = other
+    mirror = Mirror(hinges, cells=4)
     np.testing.assert_allclose(
         mirror.observations(seen[1]), seen[0], atol=3e-3
     )  # the gait lowers left before right
@@ -247,3 +250,33 @@ def test_training_with_style_learns_both_and_resumes_where_it_was():
     assert again.keys() == tensors.keys() and other.samples == 72
     for name, value in tensors.items():
         torch.testing.assert_close(again[name], value, msg=name)
+
+
+def test_a_grown_walker_does_the_same_until_it_learns():
+    import torch
+
+    from footfall.models.pacer.policy import ActorCritic
+    from footfall.models.pacer.walker_weights import grown
+
+    small, large = ActorCritic(10, 3, (8,), 0.1), ActorCritic(16, 3, (8,), 0.1)
+    small.normalizer.observe(torch.randn(50, 10) * 2 + 1)
+    large.load_state_dict(grown(small.state_dict(), 16, 6))
+    seen = torch.randn(5, 10)
+    wide = torch.cat([seen[:, :6], torch.randn(5, 6), seen[:, 6:]], 1)
+    torch.testing.assert_close(large.act(wide), small.act(seen))
+    torch.testing.assert_close(large.values(large.normalizer(wide)), small.values(small.normalizer(seen)))
+
+
+def test_on_a_course_people_start_on_their_feet_and_see_the_ground():
+    from footfall.models.pacer.courses import CourseSettings
+    from footfall.models.pacer.local_map import MapSettings
+
+    course = CourseSettings(levels=2, columns=3, tile=8.0, border=4.0)
+    env = WalkerEnv(replace(SMALL, course=course, map=MapSettings(cells=4, side=2.0)), seed=0)
+    assert env.size == WalkerEnv(SMALL, seed=0).size + 48
+    feet = np.sort(env.clear.min(-1), axis=1)
+    assert (feet[:, 0] < 0.05).all() and (feet[:, 0] > -0.05).all()
+    ground = env.height_at(env.motion.positions[:, 0, :2])
+    assert np.ptp(ground) > 0.1
+    step = env.step(np.zeros((6, env.n_actions), np.float32))
+    assert not step.failed.any() and np.isfinite(step.observations).all()
