@@ -17,6 +17,8 @@ TOLERANCE = 0.1
 """Nobody is held closer to a timed way than this [m]."""
 PUNCTUAL = 0.9
 """Urgency of who has a time of arrival."""
+HURRY = 1.3
+"""Fastest speed over the one asked, to make way or to catch up."""
 HORIZON = PLAN_DT * PLAN_STEPS
 
 
@@ -61,6 +63,8 @@ def objectives_of(moment: Moment, surroundings: Surroundings, margin: float) -> 
     if (weights["MinimumSpeed"] > 0).any():
         least = {"speed": _tensor(asked.minimum)}
         wishes.append(Objective("minimum_speed", least, _tensor(np.nan_to_num(weights["MinimumSpeed"]))))
+    fastest = HURRY * np.maximum(asked.speed, np.nan_to_num(asked.minimum))
+    wishes.append(Objective("maximum_speed", {"speed": _tensor(np.maximum(fastest, 0.3))}))
     if asked.groups:
         wishes.append(_together(moment))
     gap = {"buffer": _tensor(asked.gap + 2 * margin)}

@@ -32,7 +32,8 @@ class Guidance:
         inner_steps: Steps per denoising step in mode `direct`.
         limit: Longest step of one sample's actions, root mean square over the horizon, in standard
             deviations.
-        polish: More steps for the chosen samples at the end, in mode `direct`.
+        polish: More steps for the chosen samples at the end, in mode `direct`, and as many again for the
+            objectives of safety alone.
         speeds: Guided futures keep between these speeds [m/s]: nobody is made to walk backwards or to race.
     """
 
@@ -41,7 +42,7 @@ class Guidance:
     strength: float = 1.0
     inner_steps: int = 3
     limit: float = 1.0
-    polish: int = 10
+    polish: int = 6
     speeds: tuple[float, float] = (0.0, 3.0)
 
     def __post_init__(self):
@@ -88,14 +89,20 @@ def guide_direct(
     A weight shortens (below 1) or lengthens the steps of an objective.
     """
     for _ in range(guidance.inner_steps):
+        before, actions, future = clean, clean, None
         for wish in objectives:
             with torch.enable_grad():
-                actions = clean.detach().requires_grad_()
-                loss = wish.loss(future_of(actions))
+                if future is None:
+                    actions = clean.detach().requires_grad_()
+                    future = future_of(actions)
+                loss = wish.loss(future)
                 if not loss.any():
-                    continue
+                    continue  # nothing moved: the next objective looks at the same future
                 gradient = gradient_of(loss, actions)
             clean = clean - wish.share[..., None, None] * guidance.step(loss.detach(), gradient, variance)
+            future = None
+        if clean is before:
+            break
     return clean.detach()
 
 

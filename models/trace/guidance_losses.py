@@ -14,7 +14,7 @@ def distance_to(future: Future, goal: Tensor) -> tuple[Tensor, Tensor]:
     return (future.positions - goals[:, :, None]).norm(dim=-1), given
 
 
-@objective("agent_avoid", joint=True)
+@objective("agent_avoid", joint=True, safety=True)
 def agent_avoid(future: Future, buffer: Tensor | float = 0.2) -> Tensor:
     """Overlap of discs, 1 - d / (r_i + r_j + buffer), summed over time and other agents.
 
@@ -30,6 +30,8 @@ def agent_avoid(future: Future, buffer: Tensor | float = 0.2) -> Tensor:
         low, high = p.amin((1, 2)), p.amax((1, 2))
         gap = torch.relu(torch.maximum(low[:, None] - high, low - high[:, None]))  # between bounding boxes
         i, j = (gap.norm(dim=-1) < kept[:, None] + kept).triu(1).nonzero().unbind(1)
+        if not len(i):
+            return future.states.new_zeros(agents, samples)
         square = (p[i] - p[j]).square().sum(-1)  # (P, M, T)
         reach = (kept[i] + kept[j]).square()[:, None, None]
         pair, sample, time = (square < reach).nonzero().unbind(1)
@@ -43,7 +45,7 @@ def agent_avoid(future: Future, buffer: Tensor | float = 0.2) -> Tensor:
     return total.reshape(agents, samples) * given
 
 
-@objective("obstacle_avoid")
+@objective("obstacle_avoid", safety=True)
 def obstacle_avoid(future: Future, buffer: Tensor | float = 0.0) -> Tensor:
     """Depth [m] of each disc inside obstacles, summed over time: the gradient is that of the distance field.
 
@@ -56,7 +58,7 @@ def obstacle_avoid(future: Future, buffer: Tensor | float = 0.0) -> Tensor:
     return torch.relu(reach - future.clearance(future.positions)).sum(-1) * given
 
 
-@objective("obstacle_avoid_points")
+@objective("obstacle_avoid_points", safety=True)
 def obstacle_avoid_points(future: Future, points: int = 10, buffer: float = 0.0) -> Tensor:
     """The paper's loss: 1 - d_min / b summed over the body points that are embedded in an obstacle.
 
@@ -216,6 +218,13 @@ def minimum_speed(future: Future, speed: Tensor | float) -> Tensor:
     """Squared shortfall of the speed below (A,) [m/s], summed over time."""
     wanted, given = per_agent(speed, len(future.states))
     return torch.relu(wanted[..., None] - future.states[..., 3]).square().sum(-1) * given
+
+
+@objective("maximum_speed")
+def maximum_speed(future: Future, speed: Tensor | float) -> Tensor:
+    """Squared excess of the speed above (A,) [m/s], summed over time."""
+    wanted, given = per_agent(speed, len(future.states))
+    return torch.relu(future.states[..., 3] - wanted[..., None]).square().sum(-1) * given
 
 
 @objective("follow")

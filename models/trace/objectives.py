@@ -67,26 +67,28 @@ Loss = Callable[..., Tensor]
 
 @dataclass(frozen=True)
 class Kind:
-    """A registered objective: its loss, and whether agents of a scene depend on each other through it."""
+    """A registered objective: its loss, whether agents depend on each other through it, whether it is safety."""
 
     loss: Loss
     joint: bool
+    safety: bool
 
 
 OBJECTIVES: dict[str, Kind] = {}
 
 
-def objective(name: str, joint: bool = False) -> Callable[[Loss], Loss]:
+def objective(name: str, joint: bool = False, safety: bool = False) -> Callable[[Loss], Loss]:
     """Register a loss under a name.
 
     Args:
         name: What users write.
         joint: The loss of one agent depends on the futures of others; then samples are chosen for a whole
             scene.
+        safety: Nobody is to be hurt: these have the last word when a chosen sample is polished.
     """
 
     def register(loss: Loss) -> Loss:
-        OBJECTIVES[name] = Kind(loss, joint)
+        OBJECTIVES[name] = Kind(loss, joint, safety)
         return loss
 
     return register
@@ -124,6 +126,11 @@ class Objective:
     def joint(self) -> bool:
         """Whether agents depend on each other through it."""
         return OBJECTIVES[self.name].joint
+
+    @property
+    def safety(self) -> bool:
+        """Whether it has the last word."""
+        return OBJECTIVES[self.name].safety
 
     @property
     def share(self) -> Tensor:

@@ -250,10 +250,12 @@ class TracePlanner:
     def _polish(
         self, best: Tensor, context: Context, future_of: FutureOf, objectives: Sequence[Objective]
     ) -> Tensor:
-        """The chosen samples (A, 1, horizon, 2) after more steps towards what is asked."""
+        """The chosen samples (A, 1, horizon, 2) after more steps towards what is asked, safety last."""
         guidance = replace(self.guidance, inner_steps=self.guidance.polish)
-        best = guide_direct(best, future_of, objectives, guidance, torch.zeros(()))
-        return self._within_speeds(best, context.speed)
+        for wishes in (objectives, [wish for wish in objectives if wish.safety]):
+            best = guide_direct(best, future_of, wishes, guidance, torch.zeros(()))
+            best = self._within_speeds(best, context.speed)
+        return best
 
     def _within_speeds(self, actions: Tensor, speed: Tensor) -> Tensor:
         """The nearest actions (A, M, horizon, 2) whose speeds, from (A,) now, keep the bounds of guidance."""

@@ -1,12 +1,14 @@
 """The planner node with TRACE: what live objectives do to plans, people who come and go, user-made objectives."""
 
 import logging
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+import footfall
 from footfall.messages.agents import AgentStates
 from footfall.messages.body import Bodies
 from footfall.messages.config import ConfigError
@@ -100,8 +102,8 @@ def test_all_samples_losses_and_the_time_are_in_the_message(inbox_of):
         ),
     )
     assert plans.positions.shape == (2, 4, 50, 2) and plans.method == "trace"
-    assert plans.loss_names == ["agent_avoid", "follow", "obstacle_avoid"]
-    assert plans.losses.shape == (2, 4, 3) and plans.planning_time > 0
+    assert plans.loss_names == ["agent_avoid", "follow", "maximum_speed", "obstacle_avoid"]
+    assert plans.losses.shape == (2, 4, 4) and plans.planning_time > 0
     assert np.isfinite(plans.positions).all()
     assert node.facts["planning_time"] == plans.planning_time and "late_plans" in node.facts
 
@@ -247,21 +249,11 @@ def test_weights_that_do_not_fit_are_refused(tmp_path):
         trace(weights=str(other))
 
 
-STAY_LEFT = """
-import torch
-
-from footfall.models.trace.objectives import objective
-
-
-@objective("stay_left")
-def stay_left(future, y=0.0):
-    return torch.relu(y - future.positions[..., 1]).sum(-1)  # (agents, samples)
-"""
-
-
 def test_an_objective_from_a_file_bends_the_plans(inbox_of, tmp_path: Path):
     module = tmp_path / "my_objectives.py"
-    module.write_text(STAY_LEFT)
+    document = (Path(footfall.__file__).parent / "docs" / "trace.md").read_text()
+    (block,) = [b for b in re.findall(r"```python\n(.*?)```", document, re.DOTALL) if "stay_left" in b]
+    module.write_text(block)
     asked = wishes({0: [TargetSpeed(1.2)]})
     try:
         ends = []

@@ -150,6 +150,50 @@ def test_target_speed():
     assert loss(future, "target_speed", speed=torch.tensor([1.5, NAN]))[:, 0].tolist() == [12.5, 0.0]
 
 
+def test_minimum_and_maximum_speed_are_squared_shortfall_and_excess():
+    future = walkers([[0, 0], [0, 5]], [[1, 0], [2, 0]])
+    assert loss(future, "minimum_speed", speed=1.5)[:, 0].tolist() == [12.5, 0.0]
+    assert loss(future, "maximum_speed", speed=1.5)[:, 0].tolist() == [0.0, 12.5]
+
+
+def test_follow_is_the_mean_distance_beyond_the_slack():
+    future = walkers([[0, 0], [0, 5]], [[1, 0], [1, 0]])
+    way = future.positions[:, 0].detach() + torch.tensor([0.0, 2.0])
+    slack = torch.zeros(2, 50)
+    slack[1] = 2.5
+    assert loss(future, "follow", way=way, slack=slack)[:, 0].tolist() == pytest.approx([2.0, 0.0], abs=1e-4)
+    way[0] = NAN
+    assert loss(future, "follow", way=way, slack=0.5)[:, 0].tolist() == pytest.approx([0.0, 1.5], abs=1e-4)
+
+
+def test_everybody_may_keep_another_distance():
+    future = walkers([[0, 0], [1.2, 0], [0, 9]], [[1, 0]] * 3)
+    assert loss(future, "agent_avoid", buffer=torch.tensor([0.2, 0.2, 5.0])).max() == 0
+    values = loss(future, "agent_avoid", buffer=torch.tensor([0.2, 1.8, 0.2]))
+    assert values[:2, 0].tolist() == pytest.approx([50 * (1 - 1.2 / 1.8)] * 2, rel=1e-3)
+    near = walkers([[2, 0], [2, 5]], [[0, 0], [0, 0]], maps=wall())
+    depths = loss(near, "obstacle_avoid", buffer=torch.tensor([1.0, 0.0]))[:, 0]
+    assert depths[0] > 20 and depths[1] == 0
+
+
+def test_the_leader_may_be_named_and_groups_differ_in_distance():
+    future = walkers([[0, 0], [0, 2], [9, 9], [9, 12]], [[1, 0]] * 4)
+    group, leader = torch.tensor([0, 0, 1, 1]), torch.tensor([False, True, True, False])
+    wanted = torch.tensor([1.0, 1.0, 3.0, 3.0])
+    values = loss(future, "social_group", group=group, distance=wanted, leader=leader)[:, 0]
+    assert values.tolist() == pytest.approx([50.0, 0, 0, 0], rel=1e-3, abs=1e-3)
+    assert gradient(future, "social_group", group=group, leader=leader)[1].abs().sum() == 0
+
+
+def test_one_point_for_all_even_if_there_are_two():
+    future = walkers([[0, 0], [0, 5]], [[1, 0], [1, 0]])
+    both = loss(future, "waypoint_at", goal=[3.0, 4.0], time=3.0)
+    each = loss(future, "waypoint_at", goal=[[3.0, 4.0]] * 2, time=torch.tensor([3.0, 3.0]))
+    assert torch.equal(both, each)
+    with pytest.raises(ObjectiveError, match=r"'waypoint': a parameter has the shape \(3, 2\).* 2 agents"):
+        loss(future, "waypoint", goal=[[3.0, 4.0]] * 3)
+
+
 def test_learned_value():
     future = walkers([[0, 0]], [[1, 0]])
     value = learned_value(lambda future: future.states[..., -1, 0])
