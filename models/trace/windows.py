@@ -113,7 +113,9 @@ class CrowdWindows:
         others = distance.argsort(1)[:, : min(self.config.max_neighbors, distance.shape[1] - 1)]
         s, p = scene[:, None, None], past[:, None]
         ego = self._people(scene[:, None], agent[:, None], past)
-        neighbors = self._people(s, others[..., None], p)
+        states, present, size = self._people(s, others[..., None], p)
+        apart = torch.isfinite(distance.gather(1, others))  # nobody is a neighbour of themselves
+        neighbors = states, present & apart[..., None], size
         unique, local = scene.unique(return_inverse=True)
         context = ego_context(ego, neighbors, self.maps(unique), local, radius=self.config.neighbor_radius)
         theirs = self.actions[s, others[..., None], future[:, None]]

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from footfall.models.trace.config import COMPACT, PAPER, TraceConfig
-from footfall.models.trace.context import ego_context, to_frame
+from footfall.models.trace.context import ego_context, scene_context, to_frame
 from footfall.models.trace.network import Trace, crowd_field
 from footfall.models.trace.scene_map import SceneMaps
 from footfall.models.trace.weights import WeightsError, load_model, save_model, save_tensors
@@ -139,6 +139,44 @@ def test_everything_learns(config):
     model(torch.randn(2, 52, 2), torch.tensor([10, 60]), model.encode(c)).square().sum().backward()
     still = [n for n, p in model.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
     assert not [n for n in still if "bias" not in n]
+
+
+def test_people_of_a_scene_see_each_others_noisy_futures():
+    torch.manual_seed(3)
+    states = torch.randn(3, 31, 4)
+    whole = scene_context(states, torch.full((3, 2), 0.8))
+    assert whole.rows is not None and whole.rows.tolist()[0] != [0, 1]
+    model = Trace(COMPACT).eval()
+    samples, noisy = 2, torch.randn(6, 52, 2)
+    with torch.no_grad():
+        together = model(noisy, torch.full((6,), 30), model.encode(whole).repeat(samples))
+        # by hand: row 3 is sample 1 of agent 1; its neighbours' sample 1 are rows 2 j + 1
+        alone = model.encode(replace(whole, rows=None)).repeat(samples)
+        others = torch.zeros(6, 2, 52, 2)
+        others[3] = noisy[2 * whole.rows[1] + 1]
+        by_hand = model(noisy, torch.full((6,), 30), alone, others)
+        straight = model(noisy, torch.full((6,), 30), alone)
+    assert torch.allclose(together[3], by_hand[3], atol=1e-5)
+    assert (together[3] - straight[3]).abs().max() > 1e-4
+
+
+def test_without_actions_neighbours_keep_their_velocity():
+    model = Trace(COMPACT).eval()
+    c = context(2)
+    still = (-model.trajectory_mean[4:] / model.trajectory_std[4:]).expand(2, 2, 52, 2)
+    noisy, k = torch.randn(2, 52, 2), torch.tensor([20, 70])
+    with torch.no_grad():
+        encoding = model.encode(c)
+        assert torch.allclose(model(noisy, k, encoding), model(noisy, k, encoding, still), atol=1e-4)
+
+
+def test_nearly_clean_actions_pass_through_an_untrained_network():
+    model = Trace(COMPACT).eval()
+    encoding, noisy = model.encode(context(2)), torch.randn(2, 52, 2)
+    with torch.no_grad():
+        clean = model(noisy, torch.tensor([0, 99]), encoding)
+    assert (clean[0] - noisy[0]).abs().max() < 0.2
+    assert (clean[1] - noisy[1]).abs().max() > 0.5
 
 
 def test_crowd_field_of_one_neighbor():

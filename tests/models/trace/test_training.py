@@ -1,7 +1,11 @@
+import pytest
 import torch
 
+from footfall.models.trace.config import COMPACT
 from footfall.models.trace.context import scene_context
-from footfall.models.trace.training import MovingAverage, vary_observation
+from footfall.models.trace.diffusion import CosineSchedule
+from footfall.models.trace.network import Trace
+from footfall.models.trace.training import DenoisingStep, MovingAverage, denoising_loss, vary_observation
 
 
 def walkers(agents=200):
@@ -30,6 +34,22 @@ def test_bodies_vary_around_those_of_the_data():
     assert 0.4 <= size.min() < 0.5 and 0.9 < size.max() <= 1.0
     again = vary_observation(walkers(), torch.Generator().manual_seed(0))
     assert torch.equal(varied.ego, again.ego)
+
+
+def test_balance_weighs_a_step_by_its_signal_to_noise_ratio():
+    model, context = Trace(COMPACT).eval(), walkers(64)
+    actions = torch.randn(64, 52, 2) / 10
+    step = DenoisingStep(model)
+
+    def loss(schedule, balance):
+        generator = torch.Generator().manual_seed(0)
+        with torch.no_grad():
+            return denoising_loss(step, model, schedule, context, actions, generator, 0.1, balance).item()
+
+    for a, weight in ((0.5, 1.0), (0.8, 2.0), (1e-4, 0.3), (0.9999, 10.0)):
+        schedule = CosineSchedule(100)
+        schedule.alphas_cumprod = torch.full((100,), a)  # one noise level only
+        assert loss(schedule, 1.0) == pytest.approx(weight * loss(schedule, 0.0), rel=1e-4)
 
 
 def test_moving_average_follows_slowly():

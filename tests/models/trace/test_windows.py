@@ -126,6 +126,31 @@ def test_neighbors_of_a_window_are_the_others_of_its_scene(crowds):
     assert gaps.min() < 1e-4 and gaps.argmin() != agent
 
 
+def test_nobody_is_their_own_neighbor(crowds):
+    windows = CrowdWindows(crowds, "train", COMPACT)
+    context, _ = windows.batch(torch.arange(0, len(windows), 5))
+    now = context.neighbors[:, :, -1]
+    seen = now[..., 7] > 0
+    assert seen.any() and (~seen).any()  # scenes are not all full
+    assert now[..., :2].norm(dim=-1)[seen].min() > 2 * crowds.radius
+
+
+def test_true_futures_of_neighbors_lead_where_they_walked(crowds):
+    windows = CrowdWindows(crowds, "train", COMPACT)
+    rows = torch.arange(0, len(windows), 31)
+    context, _ = windows.batch(rows)
+    assert context.neighbor_actions is not None
+    now = context.neighbors[:, 0, -1]  # the nearest of each
+    start = torch.stack([now[:, 0], now[:, 1], torch.atan2(now[:, 3], now[:, 2]), now[:, 4]], 1)
+    here = rollout(start, context.neighbor_actions[:, 0], 0.1)[:, -1:, :2]
+    walked = from_frame(here, context.pose)[:, 0]
+    scene, _, frame = windows.index[rows].unbind(1)
+    later = windows.states[scene, :, frame + 52, :2]  # everybody's position at the end
+    seen = now[:, 7] > 0
+    assert seen.any()
+    assert (later - walked[:, None]).norm(dim=-1).min(1).values[seen].max() < 0.01
+
+
 def test_people_may_come_late_and_leave_early():
     positions = np.full((1, 2, 40, 2), np.nan, np.float32)
     time = np.arange(40)
