@@ -9,79 +9,92 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..models.trace.crowd_file import Crowds
-from ..models.trace.evaluation import GUIDES, Report, TrialScenes, evaluate
+from ..models.trace.evaluation import GUIDES, Report, TrialScenes, evaluate, evaluate_filter
 from ..models.trace.guidance import Guidance
 from ..models.trace.network import Trace
 from ..models.trace.planner import WEIGHTS, Sampling, TracePlanner
+from ..models.trace.vae import WEIGHTS as VAE_WEIGHTS
+from ..models.trace.vae import VaePlanner, load_vae
 from ..models.trace.weights import load_model
 from . import eval_trace_closed_loop as closed_loop
+from . import eval_trace_paper as paper
+from .eval_trace_paper import Row
+from .eval_trace_pictures import draw_guides, draw_samples
 
-QUICK_SCENES = 20
-UNGUIDED = Sampling(solver="dpm", steps=20, samples=1)
+QUICK_SCENES = 10
+UNGUIDED = Sampling(solver="dpm", steps=20, samples=3)
+SEVERAL = Sampling(solver="dpm", steps=8, samples=20)
+SLOW = Sampling(solver="ddim", steps=20, samples=20)
 METHODS: dict[str, tuple[Sampling, Guidance]] = {
-    "filter": (Sampling(solver="dpm", steps=8, samples=20), Guidance(strength=0.0, inner_steps=1)),
-    "noisy": (Sampling(solver="ddim", steps=20, samples=20), Guidance(mode="noisy")),
-    "clean": (Sampling(solver="ddim", steps=20, samples=20), Guidance(mode="clean")),
-    "direct": (Sampling(solver="dpm", steps=8, samples=20), Guidance(mode="direct")),
+    "noisy": (SLOW, Guidance(mode="noisy")),
+    "clean": (SLOW, Guidance(mode="clean")),
+    "direct": (SEVERAL, Guidance(mode="direct")),
 }
-"""Filter: choose among unguided samples. Noisy: eq 5. Clean: eq 6, through the network. Direct: through the
-dynamics alone, few steps; what the planner ships with."""
+"""Noisy: eq 5. Clean: eq 6, through the network. Direct: through the dynamics alone, few steps; what the
+planner ships with."""
+CHOICES = ["filter", *METHODS, "vae"]
+"""Filter: choose among unguided samples. VAE: latent optimisation (app. C.4)."""
 
-# (guide, method): guidance error, obstacle and agent collisions, EMD of speed, lon. and lat. acceleration
-PAPER_TABLE_1 = {
-    ("none", "paper: TRACE"): (None, 0.050, 0.132, 0.029, 0.008, 0.009),
-    ("obstacle", "paper: filter"): (0.018, 0.018, 0.123, 0.019, 0.011, 0.015),
-    ("obstacle", "paper: TRACE"): (0.014, 0.014, 0.124, 0.020, 0.011, 0.017),
-    ("agent", "paper: filter"): (0.049, 0.050, 0.049, 0.031, 0.012, 0.013),
-    ("agent", "paper: TRACE"): (0.000, 0.058, 0.000, 0.025, 0.010, 0.012),
-    ("waypoint", "paper: filter"): (0.333, 0.046, 0.112, 0.044, 0.013, 0.013),
-    ("waypoint", "paper: TRACE"): (0.105, 0.048, 0.093, 0.057, 0.013, 0.014),
-    ("all", "paper: filter"): (0.527, 0.023, 0.096, 0.025, 0.014, 0.016),
-    ("all", "paper: TRACE"): (0.211, 0.021, 0.009, 0.036, 0.007, 0.009),
+SAMPLERS: list[tuple[str, int]] = [
+    ("ddpm", 100),
+    ("sde", 20),
+    *(("ddim", steps) for steps in (4, 6, 8, 12, 20)),
+    *(("dpm", steps) for steps in (4, 6, 8, 12, 20)),
+]
+WEIGHTS_OF_CONTEXT = (0.0, 0.3, 0.5, 0.7, 1.0, 2.0)
+
+METRICS = {
+    "obstacle": "obstacle",
+    "agent": "agent",
+    "emd_vel": "EMD speed",
+    "emd_lon": "EMD lon",
+    "emd_lat": "EMD lat",
+    "emd_lon_compat": "lon, world axes",
+    "emd_lat_compat": "lat, world axes",
 }
-# Method: ADE, FDE, then as above
-PAPER_TABLE_5 = {
-    "paper: VAE": (0.340, 0.774, 0.062, 0.115, 0.041, 0.038, 0.039),
-    "paper: TRACE": (0.318, 0.757, 0.046, 0.110, 0.028, 0.020, 0.020),
+LAST = {"seconds": "CPU s/scene"}
+COLUMNS: dict[str, dict[str, str]] = {
+    "1": {"guide": "guide", "method": "method", "error": "guide error", **METRICS, **LAST},
+    "5": {"method": "method", "ade": "ADE", "fde": "FDE", **METRICS},
+    "7": {"w": "w", "method": "method", **METRICS},
+    "samplers": {
+        "sampler": "sampler",
+        "guide": "guide",
+        "error": "waypoint",
+        **METRICS,
+        "ratio": "vs ddpm",
+        **LAST,
+    },
+    **closed_loop.COLUMNS,
 }
-# w: obstacle and agent collisions, EMD of speed, longitudinal, lateral acceleration
-PAPER_TABLE_7 = {
-    0.0: (0.051, 0.131, 0.019, 0.012, 0.014),
-    0.5: (0.050, 0.132, 0.029, 0.008, 0.009),
-    1.0: (0.049, 0.130, 0.040, 0.010, 0.009),
-    2.0: (0.051, 0.132, 0.063, 0.017, 0.015),
-}
-COLLISIONS_AND_EMD = ["obstacle", "agent", "EMD speed", "EMD lon", "EMD lat"]
-HEADS = {
-    "1": ["guide", "method", "guide error", *COLLISIONS_AND_EMD, "CPU s/scene"],
-    "5": ["method", "ADE", "FDE", *COLLISIONS_AND_EMD],
-    "7": ["w", "method", *COLLISIONS_AND_EMD],
-    **closed_loop.HEADS,
-}
+"""Of each table: key in JSON and heading in Markdown."""
 TITLES = {
     "1": "Guidance on ORCA-Maps (TRACE, table 1)",
     "5": "No guidance, the sample nearest to the truth of 20 (TRACE, table 5)",
     "7": "Classifier-free sampling without guidance (TRACE, table 7)",
+    "samplers": "Quality and time of the samplers",
     **closed_loop.TITLES,
 }
-Row = list[str | float | None]
 
 
 def add_parser(subparsers) -> None:
     """Add `eval trace` to the command line."""
     parser = subparsers.add_parser("trace", help="tables of the TRACE paper on ORCA-Maps")
-    parser.add_argument("--table", choices=sorted(HEADS), default="1")
+    parser.add_argument("--table", choices=sorted(COLUMNS), default="1")
     parser.add_argument("--data", type=Path, default=Path("data/orca/maps.npz"), help="made by `data orca`")
+    parser.add_argument("--split", choices=("val", "test"), default="test", help="settings are tuned on val")
     parser.add_argument("--weights", type=Path, default=WEIGHTS)
     parser.add_argument(
         "--guides", nargs="+", choices=sorted(GUIDES), default=list(GUIDES), help="of table 1"
     )
-    parser.add_argument(
-        "--methods", nargs="+", choices=sorted(METHODS), default=list(METHODS), help="of table 1"
-    )
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK_SCENES} test scenes instead of all")
+    parser.add_argument("--methods", nargs="+", choices=CHOICES, default=CHOICES, help="of table 1")
+    parser.add_argument("--scenes", type=int, default=None, help="only so many (default: all of the split)")
+    parser.add_argument("--quick", action="store_true", help=f"the first {QUICK_SCENES} scenes")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--write", type=Path, metavar="FILE", help="put the table into this Markdown file")
+    parser.add_argument(
+        "--pictures", type=Path, metavar="FOLDER", help="draw samples like figures 4 and 12, no table"
+    )
     closed_loop.add_arguments(parser)
     parser.set_defaults(run=run)
 
@@ -91,98 +104,161 @@ def run(args: argparse.Namespace) -> int:
     try:
         trace, facts = load_model(args.weights)
         if args.table in closed_loop.TABLES:
-            scenes = closed_loop.read_trials(args, trace.config)
-        else:
-            limit = QUICK_SCENES if args.quick else None
-            scenes = TrialScenes(Crowds.load(args.data), trace.config, limit=limit)
+            trials = closed_loop.read_trials(args, trace.config)
+            source = f"{trace.config.name}, step {facts.get('step')}; {len(trials)} {args.split} rollouts"
+            show(args, closed_loop.TABLES[args.table](trace, trials, args), source, f"trace-{args.table}")
+            return 0
+        crowds = Crowds.load(args.data)
+        limit = QUICK_SCENES if args.quick else args.scenes
+        scenes = TrialScenes(crowds, trace.config, args.split, limit)
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
-    rows = []
-    for row in TABLES[args.table](trace, scenes, args):
-        rows.append(row)
-        print(markdown_row(row), file=sys.stderr, flush=True)
-    source = f"{trace.config.name}, step {facts.get('step')}, {len(scenes)} scenes"
-    if args.json:
-        print(json.dumps({"table": args.table, "model": source, "head": HEADS[args.table], "rows": rows}))
-    else:
-        print(markdown(args.table, rows, source))
-    if args.write:
-        write_section(args.write, f"trace-{args.table}", markdown(args.table, rows, source))
+    if args.pictures:
+        planner = TracePlanner(trace, *METHODS["direct"])
+        for path in (draw_guides(args.pictures, planner, scenes), draw_samples(args.pictures, trace, scenes)):
+            print(path)
+        return 0
+    area = crowds.source.get("area", 15.0)
+    source = f"{trace.config.name}, step {facts.get('step')}; {len(scenes)} {args.split} scenes of {area:g} m"
+    section = f"trace-{args.table}" + ("" if area == 15 else f"-{area:g}m")
+    show(args, TABLES[args.table](trace, scenes, args), source, section)
     return 0
 
 
-def collisions_and_emd(report: Report) -> Row:
+def show(args: argparse.Namespace, found: Iterator[Row], source: str, section: str) -> None:
+    """Print rows as they come, then the whole table, and write it if asked."""
+    rows = []
+    for row in found:
+        rows.append(row)
+        print(markdown_row(args.table, row), file=sys.stderr, flush=True)
+    text = markdown(args.table, rows, source)
+    if args.json:
+        print(json.dumps({"table": args.table, "model": source, "rows": rows}))
+    else:
+        print(text)
+    if args.write:
+        write_section(args.write, section, text)
+
+
+def metrics(report: Report) -> Row:
     """The columns that all tables share."""
-    return [report.obstacle, report.agent, *report.emd.values()]
+    names = {"speed": "vel", "longitudinal": "lon", "lateral": "lat"}
+    return {
+        "obstacle": report.obstacle,
+        "agent": report.agent,
+        **{f"emd_{names[k]}": v for k, v in report.emd.items()},
+        **{f"emd_{names[k]}_compat": v for k, v in report.emd_compat.items() if k != "speed"},
+    }
+
+
+def guide_error(guide: str, report: Report) -> float | None:
+    """What the guide is about (app. C.2); nothing without one."""
+    errors = {"none": None, "obstacle": report.obstacle, "agent": report.agent}
+    return errors.get(guide, report.waypoint)
 
 
 def table_1(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
     """Guides by methods."""
+    clock, config = time.process_time, trace.config.name
+    methods = list(args.methods)
+    if "vae" in methods and not VAE_WEIGHTS.is_file():
+        methods.remove("vae")
+    filtered = {}
+    if "filter" in methods and (chosen := {g: GUIDES[g] for g in args.guides if g != "none"}):
+        filtered = evaluate_filter(TracePlanner(trace, SEVERAL), scenes, chosen, clock)
+
+    def reports(guide: str) -> Iterator[tuple[str, Report]]:
+        if guide == "none":
+            yield "unguided", evaluate(TracePlanner(trace, UNGUIDED), scenes, choice="every", clock=clock)
+            if "vae" in methods:
+                yield "vae", evaluate(VaePlanner(load_vae()[0], 3), scenes, choice="every", clock=clock)
+            return
+        for method in methods:
+            if method == "filter":
+                yield method, filtered[guide]
+            elif method == "vae":
+                yield method, evaluate(VaePlanner(load_vae()[0], 20), scenes, GUIDES[guide], clock=clock)
+            else:
+                yield (
+                    method,
+                    evaluate(TracePlanner(trace, *METHODS[method]), scenes, GUIDES[guide], clock=clock),
+                )
+
     for guide in args.guides:
-        for (name, label), figures in PAPER_TABLE_1.items():
-            if name == guide:
-                yield [guide, label, *figures, None]
-        if guide == "none":  # a random sample, three times (app. C.5)
-            report = evaluate(TracePlanner(trace, UNGUIDED), scenes, repeats=3, clock=time.process_time)
-            yield [guide, "unguided", None, *collisions_and_emd(report), report.seconds]
-            continue
-        for method in args.methods:
-            planner = TracePlanner(trace, *METHODS[method])
-            report = evaluate(planner, scenes, GUIDES[guide], clock=time.process_time)
-            errors = {"obstacle": report.obstacle, "agent": report.agent}
-            error = errors.get(guide, report.waypoint)
-            yield [guide, method, error, *collisions_and_emd(report), report.seconds]
+        yield from (row for row in paper.TABLE_1 if row["guide"] == guide)
+        for method, report in reports(guide):
+            labels: Row = {"guide": guide, "method": method, "config": config}
+            yield labels | {"error": guide_error(guide, report), **metrics(report), "seconds": report.seconds}
 
 
 def table_5(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
-    """Accuracy of the best of 20 unguided samples, for each sampler."""
-    yield from ([name, *figures] for name, figures in PAPER_TABLE_5.items())
-    for sampling in (
-        Sampling(solver="dpm", steps=8, samples=20),
-        Sampling(solver="sde", steps=16, samples=20),
-        Sampling(solver="ddpm", samples=20),
-    ):
-        report = evaluate(TracePlanner(trace, sampling), scenes, choose_best=True)
-        steps = trace.config.diffusion_steps if sampling.solver == "ddpm" else sampling.steps
-        yield [
-            f"{trace.config.name}, {sampling.solver} {steps}",
-            report.ade,
-            report.fde,
-            *collisions_and_emd(report),
-        ]
+    """Accuracy of the best of 20 unguided samples."""
+    yield from paper.TABLE_5
+    apart = Trace(dataclasses.replace(trace.config, joint=False))
+    apart.load_state_dict(trace.state_dict())
+    planners = {
+        trace.config.name: TracePlanner(trace, dataclasses.replace(UNGUIDED, samples=20)),
+        f"{trace.config.name}, dpm 8": TracePlanner(trace, SEVERAL),
+        f"{trace.config.name}, neighbours at constant velocity": TracePlanner(apart.eval(), SEVERAL),
+    }
+    if VAE_WEIGHTS.is_file():
+        planners["VAE"] = VaePlanner(load_vae()[0], 20)
+    for name, planner in planners.items():
+        report = evaluate(planner, scenes, choice="truth")
+        yield {"method": name, "ade": report.ade, "fde": report.fde, **metrics(report)}
 
 
 def table_7(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
     """The weight of classifier-free sampling."""
-    for weight, figures in PAPER_TABLE_7.items():
-        yield [weight, "paper: TRACE", *figures]
+    yield from paper.TABLE_7
+    for weight in WEIGHTS_OF_CONTEXT:
         sampling = dataclasses.replace(UNGUIDED, context_weight=weight)
-        report = evaluate(TracePlanner(trace, sampling), scenes)
-        yield [weight, trace.config.name, *collisions_and_emd(report)]
+        report = evaluate(TracePlanner(trace, sampling), scenes, choice="every")
+        yield {"w": weight, "method": trace.config.name, **metrics(report)}
 
 
-TABLES = {"1": table_1, "5": table_5, "7": table_7, **closed_loop.TABLES}
+def table_samplers(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
+    """Every sampler without guidance, and with all objectives at once.
+
+    `ratio` is the guided waypoint error over that of all 100 steps.
+    """
+    reference = None
+    for solver, steps in SAMPLERS:
+        for guide in ("none", "all"):
+            sampling = Sampling(solver=solver, steps=steps, samples=3 if guide == "none" else 20)  # pyright: ignore[reportArgumentType]
+            planner = TracePlanner(trace, sampling, Guidance(mode="direct"))
+            choice = "every" if guide == "none" else "guide"
+            report = evaluate(planner, scenes, GUIDES[guide], choice, time.process_time)
+            reference = reference or (report.waypoint if guide == "all" else None)
+            ratio = report.waypoint / reference if guide == "all" and reference else None
+            labels: Row = {"sampler": f"{solver} {steps}", "guide": guide}
+            error = guide_error(guide, report)
+            yield labels | {"error": error, **metrics(report), "ratio": ratio, "seconds": report.seconds}
 
 
-def markdown_row(row: Row) -> str:
+TABLES = {"1": table_1, "5": table_5, "7": table_7, "samplers": table_samplers}
+
+
+def markdown_row(table: str, row: Row) -> str:
     """One line of a Markdown table."""
-    cells = ["" if v is None else v if isinstance(v, str) else f"{v:.3f}" for v in row]
+    values = [row.get(key) for key in COLUMNS[table]]
+    cells = ["" if v is None else v if isinstance(v, str) else f"{v:.3f}" for v in values]
     return f"| {' | '.join(cells)} |"
 
 
 def markdown(table: str, rows: list[Row], source: str) -> str:
     """A titled Markdown table."""
-    head = HEADS[table]
+    head = COLUMNS[table].values()
     lines = [
         f"### {TITLES[table]}",
         "",
         f"Model: {source}.",
         "",
-        markdown_row(list(head)),
+        f"| {' | '.join(head)} |",
         "|---" * len(head) + "|",
     ]
-    return "\n".join([*lines, *map(markdown_row, rows)])
+    return "\n".join([*lines, *(markdown_row(table, row) for row in rows)])
 
 
 def write_section(path: Path, name: str, text: str) -> None:

@@ -1,7 +1,8 @@
 """Open-loop evaluation on the test scenes of a set of crowds (Rempe et al. 2023, sec. 4.1)."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from .config import TraceConfig
 from .crowd_file import SPLITS, Crowds
+from .guidance import choose_samples, labelled
 from .metrics import (
     Array,
     agent_collisions,
@@ -18,7 +20,7 @@ from .metrics import (
     realism,
     waypoint_error,
 )
-from .objectives import Objective
+from .objectives import Future, Objective
 from .planner import TracePlanner
 from .scene_map import SceneMaps
 from .windows import CrowdWindows
@@ -189,12 +191,14 @@ GUIDES: dict[str, Wishes] = {
 }
 
 
+Choice = Literal["guide", "truth", "every"]
+
+
 def evaluate(
     planner: TracePlanner,
     scenes: TrialScenes,
     wishes: Wishes = no_wish,
-    repeats: int = 1,
-    choose_best: bool = False,
+    choice: Choice = "guide",
     clock: Callable[[], float] = lambda: 0.0,
 ) -> Report:
     """Plan every test scene and count.
@@ -203,19 +207,64 @@ def evaluate(
         planner: With its sampling and guidance.
         scenes: Test scenes.
         wishes: Objectives of a scene.
-        repeats: Runs with different seeds that are averaged (three for unguided rows, app. C.5).
-        choose_best: Count the sample nearest to the truth instead of the chosen one (tables 5 and 6).
+        choice: Which of the samples counts: the one that `guide` chose; the one nearest to the `truth`
+            (tables 5 and 6); or `every` one, as a run of its own, with the figures of the runs averaged
+            (unguided rows, app. C.5: three runs).
         clock: CPU seconds, for the report.
     """
-    tally = Tally(scenes.dt)
-    begun, count = clock(), 0
-    for repeat in range(repeats):
-        for number, scene in enumerate(scenes):
-            seed = 1000 * repeat + number
-            plan = planner.plan(scene.states, scene.size, scene.maps, wishes(scene), seed=seed)
-            chosen = plan.chosen
-            if choose_best:
+    samples = planner.sampling.samples
+    tallies = [Tally(scenes.dt) for _ in range(samples if choice == "every" else 1)]
+    begun = clock()
+    for seed, scene in enumerate(scenes):
+        plan = planner.plan(scene.states, scene.size, scene.maps, wishes(scene), seed=seed)
+        for run, tally in enumerate(tallies):
+            chosen = np.full(len(plan.chosen), run) if choice == "every" else plan.chosen
+            if choice == "truth":
                 chosen = displacement_errors(plan.positions, scene.truth[:, 1:])[0].argmin(1)
             tally.add(scene, plan.positions, chosen)
-            count += 1
-    return tally.report((clock() - begun) / count)
+    seconds = (clock() - begun) / len(scenes)
+    return average([tally.report(seconds) for tally in tallies])
+
+
+def evaluate_filter(
+    planner: TracePlanner,
+    scenes: TrialScenes,
+    guides: Mapping[str, Wishes],
+    clock: Callable[[], float] = lambda: 0.0,
+) -> dict[str, Report]:
+    """Choose among the same unguided samples by several guides (TRACE-Filter of table 1).
+
+    Args:
+        planner: With its sampling; nothing is guided.
+        scenes: Test scenes.
+        guides: Objectives by name.
+        clock: CPU seconds, for the reports.
+    """
+    tallies = {name: Tally(scenes.dt) for name in guides}
+    begun = clock()
+    for seed, scene in enumerate(scenes):
+        plan = planner.plan(scene.states, scene.size, scene.maps, seed=seed)
+        now, radius = scene.states[:, -1], scene.size.max(1).values / 2
+        states = planner.world_states(plan.actions, now)
+        future = Future(states, now, radius, scenes.dt, scene.maps, seed=seed)
+        for name, wishes in guides.items():
+            objectives = wishes(scene)
+            losses = {label: wish.loss(future) for label, wish in labelled(objectives)}
+            chosen = choose_samples(losses, objectives).numpy()
+            tallies[name].add(scene, plan.positions, chosen)
+    seconds = (clock() - begun) / len(scenes)
+    return {name: tally.report(seconds) for name, tally in tallies.items()}
+
+
+def average(reports: Sequence[Report]) -> Report:
+    """The mean of every figure over several runs."""
+
+    def mean(values: Sequence[Any]) -> Any:
+        if isinstance(values[0], dict):
+            return {key: mean([value[key] for value in values]) for key in values[0]}
+        if isinstance(values[0], tuple):
+            return tuple(map(mean, zip(*values, strict=True)))
+        return float(np.mean(values))
+
+    names = [f.name for f in fields(Report)]
+    return Report(**{name: mean([getattr(report, name) for report in reports]) for name in names})

@@ -8,8 +8,17 @@ import torch
 
 from footfall.models.trace.config import COMPACT
 from footfall.models.trace.crowd_file import pack_crowds
-from footfall.models.trace.evaluation import Tally, TrialScenes
+from footfall.models.trace.evaluation import (
+    Tally,
+    TrialScenes,
+    average,
+    evaluate,
+    evaluate_filter,
+    reach_waypoint,
+)
+from footfall.models.trace.network import Trace
 from footfall.models.trace.orca_scenes import CrowdSpec, simulate_crowds
+from footfall.models.trace.planner import Sampling, TracePlanner
 from footfall.tools import eval_trace
 
 
@@ -74,13 +83,51 @@ def test_table_stands_beside_the_papers_figures(crowds, tmp_path, capsys):
     ]
     assert run(*shared, "--guides", "all", "--json") == 0
     table = json.loads(capsys.readouterr().out)
-    rows = {row[1]: dict(zip(table["head"], row, strict=True)) for row in table["rows"]}
-    assert rows["paper: TRACE"]["guide error"] == 0.211
-    assert 0 <= rows["direct"]["guide error"] < 0.5 and 0 <= rows["direct"]["obstacle"] < 0.1
+    rows = {row["method"]: row for row in table["rows"]}
+    assert rows["paper: TRACE"]["error"] == 0.211
+    ours = rows["direct"]
+    assert {"guide", "config", "emd_vel", "emd_lon", "emd_lat"} <= ours.keys()
+    assert 0 <= ours["error"] < 0.5 and 0 <= ours["obstacle"] < 0.1
     assert run(*shared, "--guides", "waypoint") == 0
     text = page.read_text()
     assert text.startswith("# Results\n\nkept\n") and text.count("begin trace-1") == 1
     assert "| waypoint | direct |" in text and "| all | direct |" not in text
+
+
+def test_filtering_chooses_what_guided_sampling_would_count(crowds):
+    scenes = TrialScenes(replace(crowds, split=np.full(10, 2, np.uint8)), COMPACT, limit=2)
+    planner = TracePlanner(Trace(COMPACT).eval(), Sampling(steps=2, samples=4, reduced=False))
+    (report,) = evaluate_filter(planner, scenes, {"waypoint": reach_waypoint}).values()
+    nearest = []
+    for seed, scene in enumerate(scenes):
+        plan = planner.plan(scene.states, scene.size, scene.maps, seed=seed)
+        miss = np.linalg.norm(plan.positions - scene.goal[:, None, None], axis=-1).min(-1)  # (A, S)
+        nearest.extend(miss.min(1))
+    assert report.waypoint == pytest.approx(np.mean(nearest), abs=0.02)  # the loss is a soft minimum
+
+
+def test_every_run_counts_and_the_figures_are_averaged(crowds):
+    scenes = TrialScenes(replace(crowds, split=np.full(10, 2, np.uint8)), COMPACT, limit=2)
+    planner = TracePlanner(Trace(COMPACT).eval(), Sampling(steps=2, samples=2, reduced=False))
+    report = evaluate(planner, scenes, choice="every")
+    plans = [planner.plan(s.states, s.size, s.maps, seed=n) for n, s in enumerate(scenes)]
+    missed = [
+        np.linalg.norm(plan.positions[:, run] - scene.goal[:, None], axis=-1).min(-1)
+        for run in range(2)
+        for plan, scene in zip(plans, scenes, strict=True)
+    ]
+    assert report.waypoint == pytest.approx(np.concatenate(missed).mean())
+    one = replace(report, obstacle=0.0, emd={"speed": 1.0})
+    two = replace(report, obstacle=1.0, emd={"speed": 3.0})
+    assert average([one, two]).obstacle == 0.5 and average([one, two]).emd == {"speed": 2.0}
+
+
+def test_pictures_are_drawn(crowds, tmp_path, capsys):
+    crowds.save(tmp_path / "maps.npz")
+    assert run("--data", str(tmp_path / "maps.npz"), "--pictures", str(tmp_path / "images")) == 0
+    paths = capsys.readouterr().out.split()
+    assert [p.rsplit("/", 1)[1] for p in paths] == ["trace_guides.png", "trace_samples.png"]
+    assert all((tmp_path / "images" / p.rsplit("/", 1)[1]).stat().st_size > 10_000 for p in paths)
 
 
 def test_missing_files_are_explained(tmp_path, capsys):
