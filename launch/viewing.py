@@ -16,6 +16,8 @@ from .wiring import with_node
 
 VIEWER = "viewer"
 PORT = 8080
+WATCHDOG = 60.0
+"""Longest time without a sign of life: opening a window takes a while, and nobody waits for it [s]."""
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
@@ -41,6 +43,7 @@ def with_viewer(graph: Graph, config: Mapping[str, Any]) -> Graph:
         config=dict(config),
         required=False,
         lockstep=False,
+        watchdog=WATCHDOG,
     )
     return with_node(graph, viewer)
 

@@ -95,8 +95,8 @@ class Viewer:
             self._pass_on()
             if monotonic() - self._drawn >= 1 / self.config.rate_hz:
                 begin = monotonic()
-                self.draw()
-                process.time_step(monotonic() - begin)
+                if self.draw():
+                    process.time_step(monotonic() - begin)
 
     def take(self, topic: str, message: Any, stamp_ns: int) -> None:
         """Take one message into the picture."""
@@ -106,15 +106,15 @@ class Viewer:
         elif topic == LOG.name:
             self._warned.take(message)
 
-    def draw(self) -> None:
-        """Bring the window up to date, if anybody looks."""
+    def draw(self) -> bool:
+        """Bring the window up to date; says whether there was anything to draw."""
         self._drawn = monotonic()
         self.process.facts = {"browsers": float(len(self.window.server.get_clients()))}
         if not self._placed and self.picture.place is not None:
             look_at_place(self.window.server, self.picture)
             self._placed = True
         if not self.picture.changed and not self.panels.stale:
-            return
+            return False
         everything, self.panels.stale = self.panels.stale, False
         self.scene.draw(self.picture, everything)
         self.panels.steer_camera(self.picture)
@@ -123,6 +123,7 @@ class Viewer:
             self.panels.update(self.picture)
             if self.steering is not None:
                 self.steering.update(self.picture)
+        return True
 
     def _pass_on(self) -> None:
         """Hand what was asked in the browser to the launcher."""

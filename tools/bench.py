@@ -10,6 +10,7 @@ BENCHES = {
     "kill": ("bench_kill", "SIGKILL every process of a graph in turn; what ends, comes back, is left"),
     "soak": ("bench_soak", "memory of every process over half an hour, and what was lost on the way"),
     "fuzz": ("fuzz", "broken frames of every message type against the receiving end"),
+    "viewer": ("bench_viewer", "what the window costs a running crowd, and how soon a click shows in a plan"),
 }
 """By verb: the module in tools/ that has `add_arguments` and `run`, and one line about it."""
 

@@ -31,7 +31,13 @@ def add_parser(subparsers) -> None:
         type=Path,
         help="simulated people beside their references, as a film (.mp4) or strips (.png)",
     )
-    parser.add_argument("--clips", nargs="+", help="clips to film (default: six across the library)")
+    parser.add_argument(
+        "--rollout",
+        type=Path,
+        metavar="LOG",
+        help="the same as a log for `footfall view`: curves, reward terms",
+    )
+    parser.add_argument("--clips", nargs="+", help="clips to show (default: six across the library)")
     parser.set_defaults(run=run)
 
 
@@ -54,13 +60,22 @@ def run(args: argparse.Namespace) -> int:
             )
         for name, value in figures.items():
             print(f"{name}: {value:.4g}")
-    if args.film:
+    if args.film or args.rollout:
         names = [clip.name for clip in library.clips]
         wanted = args.clips or names[:: max(len(names) // 6, 1)][:6]
         for name in wanted:
             if name not in names:
                 raise EvaluationError(f"there is no clip {name!r} in {args.motions}")
-        _film(args.film, model, config, library, np.array([names.index(name) for name in wanted]))
+        chosen_clips = np.array([names.index(name) for name in wanted])
+        if args.film:
+            _film(args.film, model, config, library, chosen_clips)
+        if args.rollout:
+            from .rollout_log import write_rollout
+            from .tracker_rollout import roll_out
+
+            write_rollout(
+                args.rollout, roll_out(model, config, library, chosen_clips.tolist()), overwrite=True
+            )
     return 0
 
 

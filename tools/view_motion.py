@@ -27,6 +27,7 @@ LANE = 1.1
 REFERENCE_TINT = np.array([150, 190, 235], np.uint8)
 """Colour of the body that was to be followed."""
 SKELETON_COLOUR, FOOT_COLOUR = (40, 90, 150), (235, 120, 30)
+FLOOR = (196, 200, 204)
 CURVE_SPAN = 4.0
 """Time that a plot shows, now in its middle [s]."""
 CURVE_POINTS = 160
@@ -65,9 +66,19 @@ class MotionViewer:
         self._plotted = 0.0
         self._series: list[tuple[str, NDArray, str]] = []
         self._add_controls(names)
-        server.scene.add_grid("/floor", 40.0, 40.0, cell_size=0.5, section_size=1.0, fade_distance=30.0)
+        server.scene.add_grid(
+            "/floor",
+            60.0,
+            60.0,
+            cell_size=0.5,
+            section_size=1.0,
+            fade_distance=40.0,
+            plane_color=FLOOR,
+            plane_opacity=1.0,
+            shadow_opacity=0.3,
+        )
         self._show(self.take)
-        server.initial_camera.position = (1.0, -3.6, 1.7)
+        server.initial_camera.position = (1.2, -3.0, 1.5)
         server.initial_camera.look_at = (0.0, 0.4, 0.9)
 
     def _add_controls(self, names: list[str]) -> None:
@@ -245,12 +256,11 @@ class MotionViewer:
         frames = self.take.begin + np.arange(len(self.take)) / self.take.rate_hz
         curves = [np.interp(times, frames, curve) for _, curve, _ in self._series]
         bounds = np.concatenate(curves) if curves else np.zeros(1)
-        line = np.full(len(times), np.nan)
-        ends = np.array([np.nanmin(bounds), np.nanmax(bounds)])
+        line = np.full(len(times), np.nanmin(bounds))  # a spike: what is not a number spoils the plot's scale
         return (
-            np.insert(times, mark, [now, now]),
-            *(np.insert(curve, mark, np.interp([now, now], times, curve)) for curve in curves),
-            np.insert(line, mark, ends),
+            np.insert(times, mark, [now] * 3),
+            *(np.insert(curve, mark, np.interp([now] * 3, times, curve)) for curve in curves),
+            np.insert(line, mark, [np.nanmin(bounds), np.nanmax(bounds), np.nanmin(bounds)]),
         )
 
     def _facts(self, frame: int) -> str:
