@@ -3,7 +3,7 @@
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -32,6 +32,38 @@ class SchemaFacts(NamedTuple):
     text: bytes
 
 
+_COUNT = struct.Struct("<HI")
+
+
+class ChunkFacts(NamedTuple):
+    """A chunk in the file. A recording of hours has many: packed, one takes a sixth of its objects."""
+
+    offset: int
+    """Where it begins."""
+    start_ns: int
+    end_ns: int
+    record: bytes
+    """Its chunk index."""
+    packed_counts: bytes
+
+    @classmethod
+    def of(cls, index: ChunkIndex, counts: Mapping[int, int]) -> "ChunkFacts":
+        """Facts of a chunk with so many messages by channel."""
+        packed = b"".join(_COUNT.pack(channel, count) for channel, count in counts.items())
+        return cls(
+            index.chunk_start_offset,
+            index.message_start_time,
+            index.message_end_time,
+            to_bytes(index),
+            packed,
+        )
+
+    @property
+    def counts(self) -> dict[int, int]:
+        """Messages by channel."""
+        return dict(_COUNT.iter_unpack(self.packed_counts))
+
+
 @dataclass(slots=True)
 class Contents:
     """What has been written so far."""
@@ -39,9 +71,7 @@ class Contents:
     schemas: dict[SchemaFacts, Schema] = field(default_factory=dict)
     channels: dict[tuple[str, str, int], Channel] = field(default_factory=dict)
     """By topic, publisher and life."""
-    chunks: list[ChunkIndex] = field(default_factory=list)
-    counts: list[dict[int, int]] = field(default_factory=list)
-    """Messages by channel, for each chunk."""
+    chunks: list[ChunkFacts] = field(default_factory=list)
     attachments: list[AttachmentIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
 
@@ -49,17 +79,16 @@ class Contents:
         """Everything that follows the last chunk of a file that has `at` bytes until there."""
         end = to_bytes(DataEnd(0))
         start = at + len(end)
-        groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
-            (Opcode.SCHEMA, list(self.schemas.values())),
-            (Opcode.CHANNEL, list(self.channels.values())),
-            (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, self.chunks),
-            (Opcode.ATTACHMENT_INDEX, self.attachments),
-            (Opcode.METADATA_INDEX, self.metadata),
+        groups: list[tuple[Opcode, bytes]] = [
+            (Opcode.SCHEMA, to_bytes(*self.schemas.values())),
+            (Opcode.CHANNEL, to_bytes(*self.channels.values())),
+            (Opcode.STATISTICS, to_bytes(self._statistics())),
+            (Opcode.CHUNK_INDEX, b"".join(chunk.record for chunk in self.chunks)),
+            (Opcode.ATTACHMENT_INDEX, to_bytes(*self.attachments)),
+            (Opcode.METADATA_INDEX, to_bytes(*self.metadata)),
         ]
         summary, offsets = b"", []
-        for opcode, records in groups:
-            data = to_bytes(*records)
+        for opcode, data in groups:
             if data:
                 offsets.append(SummaryOffset(opcode, start + len(summary), len(data)))
             summary += data
@@ -71,8 +100,8 @@ class Contents:
 
     def _statistics(self) -> Statistics:
         totals: dict[int, int] = defaultdict(int)
-        for counts in self.counts:
-            for channel, count in counts.items():
+        for chunk in self.chunks:
+            for channel, count in chunk.counts.items():
                 totals[channel] += count
         return Statistics(
             len(self.attachments),
@@ -80,8 +109,8 @@ class Contents:
             dict(totals),
             len(self.chunks),
             sum(totals.values()),
-            max((chunk.message_end_time for chunk in self.chunks), default=0),
-            min((chunk.message_start_time for chunk in self.chunks), default=0),
+            max((chunk.end_ns for chunk in self.chunks), default=0),
+            min((chunk.start_ns for chunk in self.chunks), default=0),
             len(self.metadata),
             len(self.schemas),
         )

@@ -44,7 +44,7 @@ from .log_format import (
     LogError,
 )
 from .log_reader import Logged
-from .log_summary import Contents, SchemaFacts, to_bytes
+from .log_summary import ChunkFacts, Contents, SchemaFacts, to_bytes
 from .schema import json_schema, schema_hash
 from .topics import Topic
 
@@ -273,29 +273,28 @@ class LogWriter:
         except OSError as error:
             self._close_full(error, counts)
         self._descriptions = []
-        self._contents.counts.append(counts)
-        self._contents.chunks.append(
-            ChunkIndex(
-                len(record),
-                start,
-                "zstd",
-                len(data),
-                chunk.end_ns,
-                sum(map(len, indexes)),
-                offsets,
-                chunk.start_ns,
-                len(plain),
-            )
+        index = ChunkIndex(
+            len(record),
+            start,
+            "zstd",
+            len(data),
+            chunk.end_ns,
+            sum(map(len, indexes)),
+            offsets,
+            chunk.start_ns,
+            len(plain),
         )
+        self._contents.chunks.append(ChunkFacts.of(index, counts))
 
     def _close_full(self, error: OSError, given_up: dict[int, int]) -> None:
         """Close a log that cannot grow, giving up chunks at its end until the summary fits."""
         lost = defaultdict(int, given_up)
         self._file.quota = None
         while not self._try_finish() and self._contents.chunks:
-            for channel, count in self._contents.counts.pop().items():
+            chunk = self._contents.chunks.pop()
+            for channel, count in chunk.counts.items():
                 lost[channel] += count
-            self._file.cut(self._contents.chunks.pop().chunk_start_offset)
+            self._file.cut(chunk.offset)
         self.messages -= sum(lost.values())
         self.closed = True
         self._file.close()
