@@ -11,12 +11,14 @@ from collections.abc import Iterable
 from time import perf_counter
 from typing import Annotated, Literal, Protocol
 
+import msgspec
 import numpy as np
 from msgspec import Meta, field
 
 from ..messages.agents import AgentStates
 from ..messages.config import ConfigError
 from ..messages.map import SemanticMap
+from ..messages.objectives import Objectives
 from ..messages.plan import Plans
 from ..messages.topics import AGENTS, BODIES, MAP, OBJECTIVES, PLANS, Outgoing
 from ..models.crowd.orca_planner import OrcaPlanner
@@ -38,7 +40,8 @@ class Config(NodeConfig, frozen=True):
 
     method: Literal["trace", "orca", "constant_velocity"] = "orca"
     rate_hz: Annotated[float, Meta(gt=0, le=10)] | None = None
-    """Plans per simulated second, at most 10; None for the method's own. Who enters gets a plan at once."""
+    """Plans per simulated second, at most 10; None for the method's own. When somebody enters, or is asked
+    something new, all are planned at once."""
     stitch: float = 0.15
     """A new plan starts from where the last one has the pedestrian now, if they are that close to it [m];
     so the sway of a walking body does not get into the plans."""
@@ -91,6 +94,7 @@ class PlannerNode(Node[Config]):
         self._next_ns = 0
         self._last: Plans | None = None
         self._last_stamp = 0.0
+        self._asked: dict[int, bytes] = {}
         self._late = 0
 
     def configure(self, config: Config) -> None:
@@ -100,7 +104,7 @@ class PlannerNode(Node[Config]):
 
     def on_time_jump(self) -> None:
         """Forget the last plan."""
-        self._last = None
+        self._last, self._asked = None, {}
         self._next_ns = 0
         self._method, self._placed = self._make(self.config), False
 
@@ -112,9 +116,10 @@ class PlannerNode(Node[Config]):
             bodies = inbox.require(BODIES)
             self._radii = dict(zip(bodies.ids.tolist(), bodies.radii.astype(float).tolist(), strict=True))
         agents = inbox.require(AGENTS)
-        planned = self._last is not None and set(agents.ids.tolist()) <= set(self._last.ids.tolist())
-        if planned and inbox.now_ns < self._next_ns:
+        asked = _asked_of(inbox.require(OBJECTIVES), agents)
+        if asked.items() <= self._asked.items() and inbox.now_ns < self._next_ns:
             return []
+        self._asked = asked
         period = 1 / (self.config.rate_hz or RATES_HZ[self.config.method])
         self._next_ns = inbox.now_ns + round(1e9 * period) - SLACK_NS
         begin = perf_counter()
@@ -200,6 +205,15 @@ class CrowdMethod:
     def plan(self, moment: Moment) -> Futures:
         """One future a pedestrian."""
         return self._planner.plan(moment.crowd(self._config.margin))
+
+
+def _asked_of(objectives: Objectives, agents: AgentStates) -> dict[int, bytes]:
+    """What each of those who are there is asked, to compare."""
+    wishes = {wish.id: wish.objectives for wish in objectives.agents}
+    groups = {member: group for group in objectives.groups for member in group.members}
+    return {
+        agent: msgspec.msgpack.encode((wishes.get(agent), groups.get(agent))) for agent in agents.ids.tolist()
+    }
 
 
 def message_of(ids: np.ndarray, futures: Futures, method: str, planning_time: float) -> Plans:

@@ -67,6 +67,21 @@ def test_it_plans_at_its_rate_and_at_once_for_newcomers(inbox_of):
     assert counts == [1, 0, 0, 0, 0, 1, 0, 1, 0, 0]
 
 
+def test_it_plans_at_once_when_somebody_is_asked_something_new(inbox_of):
+    planner = PlannerNode(Config(rate_hz=1))
+    inbox, counts = None, []
+    for tick in range(8):
+        messages = [agents(a=(0, 0, 0, 0), **({"b": (3, 3, 0, 0)} if tick < 2 else {}))]  # b leaves
+        if tick in (0, 3, 5):  # 5: the same again; 6: somebody else, who is not there
+            goal = (5.0, 0.0) if tick == 0 else (0.0, 5.0)
+            messages += [wishes(goal)]
+        if tick == 6:
+            messages += [wishes((0.0, 5.0), (9.0, 9.0))]
+        inbox = inbox_of(tick / 10, *((PLACE, BODY) if tick == 0 else ()), *messages, inbox=inbox)
+        counts.append(len(plans_of(planner, inbox)))
+    assert counts == [1, 0, 0, 1, 0, 0, 0, 0]
+
+
 def test_a_plan_begins_on_the_last_one_unless_the_walker_has_left_it(inbox_of):
     planner = PlannerNode(Config(rate_hz=10))
     inbox = inbox_of(0.0, PLACE, BODY, wishes((8.0, 0.0)), agents(a=(0, 0, 0, 1.3)))
