@@ -17,6 +17,8 @@ from ..models.trace.planner import Sampling, TracePlanner
 from ..models.trace.rollouts import Rollout, rollouts
 from ..models.trace.vae import WEIGHTS as VAE_WEIGHTS
 from ..models.trace.vae import VaePlanner, load_vae
+from . import eval_trace_paper as paper
+from .eval_trace_paper import Row
 
 FOLDS = ("eth", "hotel", "zara1", "zara2")  # those with maps
 QUICK_ROLLOUTS = 4
@@ -32,33 +34,23 @@ GUIDES = ("waypoint", "perturbed", "groups")
 WEIGHTS = {"direct": (0.0, -0.5), "clean": (0.0, -0.5)}
 """w of classifier-free sampling that table 2 tries; 0 for methods that are not here."""
 
-# (guide, method, w): guidance error, mean longitudinal and lateral acceleration; on nuScenes
-PAPER_TABLE_2 = {
-    ("waypoint", "paper: VAE", None): (0.340, 0.193, 0.172),
-    ("waypoint", "paper: TRACE", 0.0): (0.551, 0.159, 0.145),
-    ("waypoint", "paper: TRACE", -0.5): (0.366, 0.140, 0.132),
-    ("perturbed", "paper: VAE", None): (0.962, 0.443, 0.441),
-    ("perturbed", "paper: TRACE", 0.0): (1.129, 0.233, 0.218),
-    ("perturbed", "paper: TRACE", -0.5): (0.802, 0.212, 0.204),
-    ("groups", "paper: VAE", None): (0.297, 0.109, 0.104),
-    ("groups", "paper: TRACE", 0.0): (0.244, 0.110, 0.101),
-    ("groups", "paper: TRACE", -0.5): (0.245, 0.094, 0.087),
+FIGURES = {
+    "error": "guide error",
+    "lon": "lon acc",
+    "lat": "lat acc",
+    "obstacle": "obstacle",
+    "agent": "agent",
+    "emd_vel": "EMD speed",
+    "seconds": "CPU s/rollout",
 }
-# w: perturbed waypoint error, mean longitudinal and lateral acceleration; on nuScenes
-PAPER_TABLE_8 = {
-    0.0: (1.129, 0.233, 0.218),
-    -0.3: (0.972, 0.213, 0.199),
-    -0.5: (0.802, 0.212, 0.204),
-    -0.7: (0.670, 0.240, 0.233),
-    -1.0: (0.546, 0.345, 0.348),
+COLUMNS = {
+    "2": {"guide": "guide", "method": "method", "w": "w", **FIGURES},
+    "8": {"w": "w", "method": "method", **FIGURES},
 }
-FIGURES = ["guide error", "lon acc", "lat acc", "obstacle", "agent", "EMD speed", "CPU s/rollout"]
-HEADS = {"2": ["guide", "method", "w", *FIGURES], "8": ["w", "method", *FIGURES]}
 TITLES = {
-    "2": "Closed loop on recorded crowds (as TRACE, table 2, on nuScenes)",
-    "8": "Classifier-free sampling with perturbed waypoints in closed loop (as TRACE, table 8, on nuScenes)",
+    "2": "Closed loop on recorded crowds, ETH/UCY (TRACE, table 2; the paper's figures are on nuScenes)",
+    "8": "Classifier-free sampling with perturbed waypoints, ETH/UCY (TRACE, table 8; the paper's on nuScenes)",
 }
-Row = list[str | float | None]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,21 +64,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--folds", nargs="+", default=list(FOLDS), help="of tables 2 and 8 (default: %(default)s)"
     )
-    parser.add_argument("--rollouts", type=int, help="only so many of each fold, evenly spread")
     parser.add_argument("--vae", type=Path, default=VAE_WEIGHTS, help="weights of the VAE baseline")
 
 
 def read_trials(args: argparse.Namespace, config: TraceConfig) -> list[Rollout]:
-    """The rollouts of the folds' test splits.
+    """The rollouts of a split of the folds, `--scenes` of each, evenly spread.
 
     Raises:
         CrowdFileError: When a fold is not there or its scenes are too short.
     """
     trials = []
-    limit = QUICK_ROLLOUTS if args.quick else args.rollouts
+    limit = QUICK_ROLLOUTS if args.quick else args.scenes
     for fold in args.folds:
         kind = "maps" if fold in FOLDS else "open"
-        found = rollouts(Crowds.load(args.recorded / fold / f"{kind}.npz"), config)
+        found = rollouts(Crowds.load(args.recorded / fold / f"{kind}.npz"), config, args.split)
         kept = np.linspace(0, len(found) - 1, min(limit or len(found), len(found))).round().astype(int)
         trials += [found[i] for i in kept]
     return trials
@@ -94,16 +85,24 @@ def read_trials(args: argparse.Namespace, config: TraceConfig) -> list[Rollout]:
 
 def figures(report: LoopReport) -> Row:
     """The columns that both tables share."""
-    row: Row = [report.error, report.longitudinal, report.lateral, report.obstacle, report.agent]
-    return [*row, report.emd_speed, report.seconds]
+    return {
+        "error": report.error,
+        "lon": report.longitudinal,
+        "lat": report.lateral,
+        "obstacle": report.obstacle,
+        "agent": report.agent,
+        "emd_vel": report.emd_speed,
+        "seconds": report.seconds or None,
+    }
 
 
 def planners(
     trace: Trace, method: str, args: argparse.Namespace
 ) -> Iterator[tuple[float | None, TracePlanner]]:
-    """The planners of a method with their w."""
+    """The planners of a method with their w; none where its weights are not there."""
     if method == "vae":
-        yield None, VaePlanner(load_vae(args.vae)[0], samples=SAMPLES, iterations=200)
+        if args.vae.is_file():
+            yield None, VaePlanner(load_vae(args.vae)[0], samples=SAMPLES, iterations=200)
         return
     sampling, guidance = METHODS[method]
     for weight in WEIGHTS.get(method, (0.0,)):
@@ -113,27 +112,25 @@ def planners(
 def table_2(trace: Trace, trials: Sequence[Rollout], args: argparse.Namespace) -> Iterator[Row]:
     """Guides by methods, after what was recorded."""
     for guide in GUIDES:
-        for (name, label, weight), (error, along, across) in PAPER_TABLE_2.items():
-            if name == guide:
-                yield [guide, label, weight, error, along, across, None, None, None, None]
-        yield [guide, "recorded", None, *figures(recorded(trials, guide))[:-1], None]
+        yield from (row for row in paper.TABLE_2 if row["guide"] == guide)
+        yield {"guide": guide, "method": "recorded", **figures(recorded(trials, guide))}
         for method in args.methods:
             for weight, planner in planners(trace, method, args):
                 report = evaluate_loop(planner, trials, guide, clock=time.process_time)
-                yield [guide, method, weight, *figures(report)]
+                labels: Row = {"guide": guide, "method": method, "config": trace.config.name, "w": weight}
+                yield labels | figures(report)
 
 
 def table_8(trace: Trace, trials: Sequence[Rollout], args: argparse.Namespace) -> Iterator[Row]:
     """The weight of classifier-free sampling."""
     sampling, guidance = METHODS["direct"]
-    for weight, (error, along, across) in PAPER_TABLE_8.items():
-        yield [weight, "paper: TRACE", error, along, across, None, None, None, None]
-        planner = TracePlanner(trace, dataclasses.replace(sampling, context_weight=weight), guidance)
-        yield [
-            weight,
-            "direct",
-            *figures(evaluate_loop(planner, trials, "perturbed", clock=time.process_time)),
-        ]
+    for row in paper.TABLE_8:
+        yield row
+        planner = TracePlanner(
+            trace, dataclasses.replace(sampling, context_weight=float(row["w"] or 0)), guidance
+        )
+        report = evaluate_loop(planner, trials, "perturbed", clock=time.process_time)
+        yield {"w": row["w"], "method": "direct", "config": trace.config.name, **figures(report)}
 
 
 TABLES = {"2": table_2, "8": table_8}
