@@ -24,11 +24,13 @@ from ..messages.bus import BusError, take
 from ..messages.graph import ClockSpec, Graph, Input, NodeSpec
 from ..messages.topics import Topic
 from ..messages.zmq_bus import ZmqBus
+from .bench_peers import PeerNear, answer, open_pipes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of the bench."""
     parser.add_argument("--quick", action="store_true", help="fewer messages, for a first look")
+    parser.add_argument("--no-peers", action="store_true", help="raw sockets and ours only")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -194,6 +196,7 @@ def far(run_dir: str) -> None:
     raw.connect(f"ipc://{run_dir}/raw")
     bus = ZmqBus(bench_graph(run_dir), "far", BENCH_TOPICS)
     bus.wait_connected(20.0)
+    pipes, _ = open_pipes(run_dir, "far")
     left: dict[str, int] = {}
     while True:
         frame = raw.recv(copy=False)
@@ -205,6 +208,10 @@ def far(run_dir: str) -> None:
         if word == BUS_TURN:
             while _answer(bus, left):
                 pass
+            continue
+        name, _, turn = word.decode().partition(" ")
+        if name in pipes:
+            answer(pipes[name], turn.encode())
             continue
         for _ in range(int(word)):
             _array_of(raw.recv(copy=False))
@@ -299,27 +306,32 @@ class _Series:
     """Messages a second."""
 
 
+End = RawNear | OurNear | PeerNear
+"""The asking end of a transport."""
+
 ROUND_TRIPS = {"64": 4000, "39k": 4000, "1m": 1200, "6m": 300}
 FLOODS = {"64": 4000, "39k": 2000, "1m": 200, "6m": 60}
 PACED = 800
 TURNS = 20
 
 
-def measure(quick: bool = False, sizes: tuple[str, ...] = tuple(SIZES)) -> dict[str, Any]:
-    """Both transports in turns; medians, their ratios, and the age of `latest` behind a busy consumer.
+def measure(quick: bool = False, sizes: tuple[str, ...] = tuple(SIZES), peers: bool = True) -> dict[str, Any]:
+    """All transports in turns; medians, their ratios, and the age of `latest` behind a busy consumer.
 
     Returns:
         `rtt_ratio`, `paced_rtt_ratio` and `throughput_ratio` (ours by raw) by size; `rtt_us`,
         `paced_rtt_us` and `messages_per_second` by transport and size; `latest_age_ms` (`median` and
-        `max`); `goals_met`.
+        `max`); `goals_met`; `peers` by name, with the same by size beside raw, or why it is left out.
     """
     share = 5 if quick else 1
     with tempfile.TemporaryDirectory(prefix="ffbench-") as run_dir:
+        pipes, left_out = open_pipes(run_dir, "near") if peers else ({}, {})
         other = subprocess.Popen([sys.executable, "-m", "footfall.tools.bench_bus", run_dir])
         try:
             raw = RawNear(run_dir)
             ours = OurNear(run_dir, raw)
-            ends: list[RawNear | OurNear] = [raw, ours]
+            others = [PeerNear(name, pipe, raw.socket.send, raw.arrays) for name, pipe in pipes.items()]
+            ends: list[End] = [raw, ours, *others]
             series = {end.name: {size: _Series() for size in sizes} for end in ends}
             for size in sizes:
                 for end in ends:
@@ -329,17 +341,44 @@ def measure(quick: bool = False, sizes: tuple[str, ...] = tuple(SIZES)) -> dict[
                     end.end_turn()
                 for turn in range(TURNS):
                     for end in ends if turn % 2 else reversed(ends):
-                        _take_turn(end, size, series[end.name][size], share)
+                        if end not in others or end.takes(size):
+                            _take_turn(end, size, series[end.name][size], share)
             ages = ours.latest_ages(0.2 if quick else 0.6, 4 if quick else 10)
         finally:
             other.kill()
             other.wait()
         for end in ends:
             end.close()
-    return _summary(series, ages)
+    facts = {end.name: _peer_facts(end, series) for end in others}
+    return _summary(series, ages) | {
+        "peers": facts | {name: {"left_out": reason} for name, reason in left_out.items()}
+    }
 
 
-def _take_turn(end: "RawNear | OurNear", size: str, series: _Series, share: int) -> None:
+def _peer_facts(end: PeerNear, series: "dict[str, dict[str, _Series]]") -> dict[str, Any]:
+    """What was measured of a peer; None for what does not come through or cannot be flooded."""
+    raw, own = series[RawNear.name], series[end.name]
+    sizes = {size: end.takes(size) for size in own}
+    floods = end.facts()["throughput_measured"]
+    rtt = {size: median(own[size].round_trips) if ok else None for size, ok in sizes.items()}
+    rates = {size: median(own[size].rates) if ok and floods else None for size, ok in sizes.items()}
+    return {
+        **end.facts(),
+        "rtt_us": {size: value and round(value * 1e6, 1) for size, value in rtt.items()},
+        "paced_rtt_us": {
+            size: round(median(own[size].paced) * 1e6, 1) if ok else None for size, ok in sizes.items()
+        },
+        "messages_per_second": {size: rate and round(rate, 1) for size, rate in rates.items()},
+        "rtt_ratio": {
+            size: value and round(value / median(raw[size].round_trips), 3) for size, value in rtt.items()
+        },
+        "throughput_ratio": {
+            size: rate and round(rate / median(raw[size].rates), 3) for size, rate in rates.items()
+        },
+    }
+
+
+def _take_turn(end: "End", size: str, series: _Series, share: int) -> None:
     end.begin_turn()
     for _ in range(max(3, ROUND_TRIPS[size] // TURNS // share)):
         begin = perf_counter()
@@ -359,6 +398,7 @@ def _take_turn(end: "RawNear | OurNear", size: str, series: _Series, share: int)
 
 def _summary(series: dict[str, dict[str, _Series]], ages: list[float]) -> dict[str, Any]:
     raw, ours = series[RawNear.name], series[OurNear.name]
+    series = {RawNear.name: raw, OurNear.name: ours}
     rtt = {size: median(ours[size].round_trips) / median(raw[size].round_trips) for size in raw}
     return {
         "rtt_ratio": {size: round(ratio, 3) for size, ratio in rtt.items()},
@@ -387,7 +427,7 @@ def _summary(series: dict[str, dict[str, _Series]], ages: list[float]) -> dict[s
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; 1 if a goal is missed."""
-    result = measure(args.quick)
+    result = measure(args.quick, peers=not args.no_peers)
     if args.json:
         print(json.dumps(result))
         return 0 if result["goals_met"] else 1
@@ -406,6 +446,16 @@ def run(args: argparse.Namespace) -> int:
     ):
         print(f"{title + ' ratio':16}" + "".join(f"{result[key][size]:12.2f}" for size in SIZES))
     print(f"{'goal':16}" + "".join(f"{goal:12.2f}" for goal in GOALS.values()))
+    for name, facts in result["peers"].items():
+        if reason := facts.get("left_out"):
+            print(f"{name}: left out: {reason}")
+            continue
+        print(f"{name} {facts['version']} ({facts['licence']})")
+        for key in ("rtt_us", "rtt_ratio", "throughput_ratio"):
+            cells = ["-" if value is None else f"{value:.2f}" for value in facts[key].values()]
+            print(f"  {key:<14}" + "".join(f"{cell:>12}" for cell in cells))
+        if facts["lost"]:
+            print(f"  lost          {facts['lost']}")
     age = result["latest_age_ms"]
     print(f"age of `latest` behind a busy consumer: {age['median']} ms, at most {age['max']} ms")
     return 0 if result["goals_met"] else 1

@@ -13,6 +13,7 @@ from footfall.tools.fuzz import MUTATIONS, fuzz
 @pytest.mark.slow
 def test_bench_bus() -> None:
     result = measure(quick=True, sizes=("64", "39k"))
+    assert {"zenoh", "LCM", "dora-rs"} == set(result["peers"])
     for size in ("64", "39k"):
         ours, raw = result["rtt_us"]["footfall"][size], result["rtt_us"]["raw pyzmq"][size]
         assert result["rtt_ratio"][size] == pytest.approx(ours / raw, rel=0.02)
