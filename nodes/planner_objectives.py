@@ -17,6 +17,10 @@ TOLERANCE = 0.1
 """Nobody is held closer to a timed way than this [m]."""
 PUNCTUAL = 0.9
 """Urgency of who has a time of arrival."""
+STANDING = 0.25
+"""Who is slower can turn on the spot [m/s]; and does so for a way that is longer than this [m]."""
+TURN_STEPS = 10
+"""Points of the way that one looks ahead for it."""
 HURRY = 1.3
 """Fastest speed over the one asked, to make way or to catch up."""
 HORIZON = PLAN_DT * PLAN_STEPS
@@ -35,7 +39,9 @@ class Surroundings:
     """Goals outside the map that have been complained about."""
 
 
-def objectives_of(moment: Moment, surroundings: Surroundings, margin: float) -> list[Objective]:
+def objectives_of(
+    moment: Moment, way: np.ndarray, slack: np.ndarray, surroundings: Surroundings, margin: float
+) -> list[Objective]:
     """Objectives of everybody; the last to correct a future is the avoidance of obstacles.
 
     Goals are followed along the shortest way, timed by the walking speed, since a straight line may lead through
@@ -43,6 +49,8 @@ def objectives_of(moment: Moment, surroundings: Surroundings, margin: float) -> 
 
     Args:
         moment: Everybody and what they are asked.
+        way: (N, T, 2) and
+        slack: (N, T) of `timed_way` [m].
         surroundings: Of the map.
         margin: Added to every body's radius [m].
     """
@@ -50,7 +58,6 @@ def objectives_of(moment: Moment, surroundings: Surroundings, margin: float) -> 
     if not len(moment.ids):
         return []
     _complain(moment, surroundings)
-    way, slack = timed_way(moment, surroundings.routes)
     pull = np.where(asked.aimless, 0.0, _or_one(weights["Waypoint"]))
     wishes = [Objective("follow", {"way": _tensor(way), "slack": _tensor(slack)}, _tensor(pull))]
     if (due := (asked.at <= HORIZON) & (weights["Waypoint"] > 0)).any():
@@ -63,10 +70,10 @@ def objectives_of(moment: Moment, surroundings: Surroundings, margin: float) -> 
     if (weights["MinimumSpeed"] > 0).any():
         least = {"speed": _tensor(asked.minimum)}
         wishes.append(Objective("minimum_speed", least, _tensor(np.nan_to_num(weights["MinimumSpeed"]))))
-    fastest = HURRY * np.maximum(asked.speed, np.nan_to_num(asked.minimum))
-    wishes.append(Objective("maximum_speed", {"speed": _tensor(np.maximum(fastest, 0.3))}))
     if asked.groups:
         wishes.append(_together(moment))
+    fastest = HURRY * np.maximum(asked.speed, np.nan_to_num(asked.minimum))
+    wishes.append(Objective("maximum_speed", {"speed": _tensor(np.maximum(fastest, 0.3))}))
     gap = {"buffer": _tensor(asked.gap + 2 * margin)}
     wishes.append(Objective("agent_avoid", gap, _tensor(_or_one(weights["SocialDistance"]))))
     room = {"buffer": _tensor(asked.margin + margin)}
@@ -81,8 +88,10 @@ def timed_way(moment: Moment, routes: Routes) -> tuple[np.ndarray, np.ndarray]:
         (N, T, 2) and (N, T), both in m.
     """
     asked, here = moment.asked, moment.states[:, :2].copy()
-    follow = routes.follow(here, asked.goal)
     points = np.empty((len(here), PLAN_STEPS, 2))
+    if not len(here):
+        return points, points[..., 0]
+    follow = routes.follow(here, asked.goal)
     for step in range(PLAN_STEPS):
         here = here + follow(here, asked.speed) * PLAN_DT
         points[:, step] = here
@@ -91,6 +100,18 @@ def timed_way(moment: Moment, routes: Routes) -> tuple[np.ndarray, np.ndarray]:
     urgency = np.where(np.isfinite(asked.at), PUNCTUAL, asked.urgency)
     least = (urgency * asked.speed)[:, None] * PLAN_DT * np.arange(1, PLAN_STEPS + 1)
     return points, np.maximum(walked - least, TOLERANCE)
+
+
+def facing_the_way(states: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """States (N, 4) in which who stands faces where the way (N, T, 2) leads.
+
+    People turn on the spot, a unicycle at rest does not: without this nobody would ever walk back.
+    """
+    arm = way[:, TURN_STEPS - 1] - states[:, :2]
+    turns = (states[:, 3] < STANDING) & (np.linalg.norm(arm, axis=1) > STANDING)
+    turned = states.copy()
+    turned[turns, 2] = np.arctan2(arm[turns, 1], arm[turns, 0])
+    return turned
 
 
 def _together(moment: Moment) -> Objective:

@@ -22,7 +22,7 @@ from ..models.trace.planner import WEIGHTS, Sampling, TraceFutures, TracePlanner
 from ..models.trace.scene_map import SceneMaps
 from ..models.trace.weights import WeightsError
 from .planner_moment import Moment, place_of
-from .planner_objectives import Surroundings, objectives_of
+from .planner_objectives import Surroundings, facing_the_way, objectives_of, timed_way
 
 log = logging.getLogger(__name__)
 
@@ -105,9 +105,10 @@ class TraceMethod:
     def plan(self, moment: Moment) -> TraceFutures:
         """All samples of everybody, and which to follow."""
         assert self._surroundings is not None
-        wishes = objectives_of(moment, self._surroundings, self._margin) + self._everybody
+        way, slack = timed_way(moment, self._surroundings.routes)
+        wishes = objectives_of(moment, way, slack, self._surroundings, self._margin) + self._everybody
         states = moment.history[:, :, :4].copy()
-        states[:, -1] = moment.states
+        states[:, -1] = now = facing_the_way(moment.states, way)
         elapsed = round((moment.now - self._last_time) / PLAN_DT)
         ids = moment.ids.tolist()
         last = self._last
@@ -125,7 +126,7 @@ class TraceMethod:
             ids=ids,
         )
         self._last, self._last_time = futures, moment.now
-        return settled(futures, moment.states)
+        return settled(futures, now)
 
 
 def settled(futures: TraceFutures, now: np.ndarray, still: float = STILL) -> TraceFutures:

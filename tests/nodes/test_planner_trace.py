@@ -131,6 +131,18 @@ def test_the_way_leads_around_a_wall(inbox_of):
     assert path[:, 1].min() < -1.5 and path[-1, 0] > 1.5
 
 
+@pytest.mark.parametrize("speed", [0.0, 1.2])
+def test_somebody_whose_goal_is_behind_turns_round(inbox_of, speed):
+    asked = wishes({0: [Waypoint((-8, 0)), TargetSpeed(1.3)]})
+    node, inbox = trace(), inbox_of(0.0, place(), bodies(), asked, people({0: (0, 0, 0, speed)}))
+    for second in range(1, 4):
+        plans = plan(node, inbox)
+        state = [chosen(plans, q)[0, 9] for q in ("positions", "headings", "speeds")]
+        inbox = inbox_of(float(second), people({0: (*state[0], *state[1:])}), inbox=inbox)
+    assert chosen(plans)[0, -1, 0] < -2.0
+    assert chosen(plans, "speeds").min() >= -0.1
+
+
 def test_a_time_of_arrival_sets_the_pace(inbox_of):
     for at, distance in ((4.0, 4.0), (10.0, 8.0)):
         asked = wishes({0: [Waypoint((8, 0) if at > 5 else (4, 0), at=at)]})
