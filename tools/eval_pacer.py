@@ -9,7 +9,7 @@ import torch
 
 from ..models.pacer.courses import CourseSettings
 from ..models.pacer.walker_evaluation import Rollouts, roll_out
-from ..models.pacer.walker_weights import load_walker
+from ..models.pacer.walker_weights import load_discriminator, load_walker
 
 WEIGHTS = Path(__file__).parents[1] / "models" / "weights" / "pacer_compact.safetensors"
 
@@ -30,6 +30,7 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--people", type=int, default=30, help="different bodies")
     parser.add_argument("--duration", type=float, default=10.0, help="s of each rollout")
     parser.add_argument("--push", type=float, default=0.0, help="N for 0.2 s from a random side after 3 s")
+    parser.add_argument("--style", type=Path, help="a discriminator, style.safetensors of a run")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -52,6 +53,7 @@ def run(args: argparse.Namespace) -> int:
         duration=args.duration,
         push=args.push,
         course=COURSE if args.terrain == "random" else None,
+        discriminator=load_discriminator(args.style) if args.style else None,
         seed=args.seed,
     )
     figures = result.summary() | gait_figures(result) | {"samples": facts.get("samples", 0)}
@@ -59,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(figures))
     else:
         for name, value in figures.items():
-            print(f"{name}: {value}" if isinstance(value, dict) else f"{name}: {value:.4g}")
+            print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
     if args.film or args.plot:
         from .pacer_pictures import draw_paths, record
 
@@ -75,11 +77,11 @@ def gait_figures(result: Rollouts) -> dict[str, float]:
     """Cadence (steps/s) and step length (m) of steady walking at 1.2 to 1.5 m/s, and failures by stature."""
     width = round(1.0 / result.period)
     steps, speeds, counts = result.strikes.sum(-1), result.speed, []
-    for first in range(0, len(steps) - width, width):
+    for first in range(0, len(steps) - width + 1, width):
         speed = speeds[first : first + width]
         steady = (speed.min(0) > 1.1) & (speed.max(0) < 1.6) & (np.abs(speed.mean(0) - 1.35) < 0.15)
         counts.append(np.stack([steps[first : first + width].sum(0), speed.mean(0)], -1)[steady])
-    found = np.concatenate(counts)
+    found = np.concatenate(counts) if counts else np.zeros((0, 2))
     if not len(found):
         return {}
     cadence = float(found[:, 0].mean())

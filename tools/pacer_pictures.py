@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -118,3 +119,20 @@ def draw_paths(path: Path, walk: Walk) -> None:
         body = walk.bodies[n]
         axes.set_title(f"{body.stature:.2f} m, {body.mass:.0f} kg: {100 * error:.0f} cm", fontsize=9)
     figure.savefig(path, dpi=110)
+
+
+def draw_curves(path: Path) -> None:
+    """Draw every column of a run's `curve.csv` over millions of samples, beside it as PNG."""
+    with path.open(newline="") as file:
+        names, *rows = csv.reader(file)
+    values = np.array([[float(v) if v else np.nan for v in row] for row in rows])
+    shown = [i for i, name in enumerate(names) if name not in ("samples", "minutes")]
+    figure = Figure(figsize=(14, 2.0 * -(-len(shown) // 5)), layout="constrained")
+    FigureCanvasAgg(figure)
+    for place, i in enumerate(shown, 1):
+        axes = figure.add_subplot(-(-len(shown) // 5), 5, place)
+        axes.plot(values[:, 0] / 1e6, values[:, i], linewidth=1)
+        axes.set_title(names[i], fontsize=8)
+        axes.tick_params(labelsize=6)
+        axes.grid(alpha=0.3)
+    figure.savefig(path.with_suffix(".png"), dpi=80)

@@ -3,8 +3,8 @@
     footfall train pacer --config compact
 
 Run it again with the same `--out` to go on where it stopped; settings may change on the way. The folder holds
-`curve.csv`, `evaluation.csv`, `model.safetensors` (the network) and `state.safetensors` (all that resuming
-needs).
+`curve.csv`, `curve.png`, `model.safetensors` (policy and critic), `style.safetensors` (the discriminator, if
+there is one) and `state.safetensors` (all that resuming needs).
 """
 
 import argparse
@@ -25,6 +25,7 @@ from ..models.pacer.walker_observation import WAYPOINTS
 from ..models.pacer.walker_training import WalkerTraining
 from ..models.pacer.walker_weights import grown
 from ..models.trace.weights import load_tensors, save_tensors
+from .pacer_pictures import draw_curves
 
 _DEMO_BODIES = 4  # of those who walk, on whom motion capture is shown to the discriminator
 
@@ -38,6 +39,7 @@ def add_parser(subparsers) -> None:
     parser = subparsers.add_parser("pacer", help="the walker")
     parser.add_argument("--config", choices=sorted(CONFIGS), default="compact")
     parser.add_argument("--out", type=Path, default=None, help="folder (default runs/pacer_CONFIG)")
+    parser.add_argument("--init", type=Path, help="a walker's model.safetensors to begin with")
     parser.add_argument(
         "--samples", type=float, default=60e6, help="control steps in all (default %(default)g)"
     )
@@ -149,13 +151,17 @@ class TrainingRun:
         self.save()
 
     def save(self) -> None:
-        """Write both files."""
+        """Write the networks, all that resuming needs, and the picture of the curves."""
         tensors, facts = self.training.state()
         facts |= {"minutes": self.minutes, "config": asdict(self.config)}
         facts |= {"observations": self.training.env.size, "actions": self.training.env.n_actions}
         save_tensors(self.folder / "state.safetensors", tensors, facts)
-        model = {k.removeprefix("model."): v for k, v in tensors.items() if k.startswith("model.")}
-        save_tensors(self.folder / "model.safetensors", model, facts)
+        for part, name in (("model.", "model"), ("style.", "style")):
+            weights = {k.removeprefix(part): v for k, v in tensors.items() if k.startswith(part)}
+            if weights:
+                save_tensors(self.folder / f"{name}.safetensors", weights, facts)
+        if (self.folder / "curve.csv").is_file():
+            draw_curves(self.folder / "curve.csv")
 
     def _log(self, window: list[dict[str, float]], speed: float) -> None:
         means = {name: sum(w[name] for w in window) / len(window) for name in window[0]}

@@ -12,6 +12,7 @@ from ..body import describe, sample_shapes
 from .courses import CourseSettings
 from .paths import PathSettings, sample_paths, with_stops
 from .policy import ActorCritic
+from .style import Discriminator, StyleHistory, feature_count, style_features
 from .walker_config import WalkerConfig
 from .walker_env import WalkerEnv
 from .walker_observation import TOUCHING, standing
@@ -41,6 +42,8 @@ class Rollouts:
     """(T, R, 2) whether the left or right foot came down."""
     power: Array
     """(T, R) W/kg."""
+    style: Array
+    """(T, R) reward of a discriminator as PACER reports it; not a number without one."""
     stature: Array
     """(R,) m."""
     mass: Array
@@ -48,11 +51,13 @@ class Rollouts:
     period: float
     """s."""
 
-    def summary(self) -> dict[str, float | int | dict[str, int]]:
-        """The figures of the paper's table 3, and foot skate."""
+    def summary(self) -> dict[str, float | int | dict[str, int] | None]:
+        """The figures of the paper's table 3, and foot skate; None for the style without a discriminator."""
+        styled = bool(np.isfinite(self.style).any())
         return {
             "fail_rate": float(self.failed.mean()),
             "path_error_m": float(np.nanmean(self.path_error)),
+            "disc_reward": float(np.nanmean(self.style)) if styled else None,
             "foot_skate_mps": float(np.nanmean(self.skate)),
             "power_w_per_kg": float(np.nanmean(self.power)),
             "rollouts": len(self.failed),
@@ -79,6 +84,7 @@ def roll_out(
     paths: PathSettings | None = None,
     push: float = 0.0,
     course: CourseSettings | None = None,
+    discriminator: Discriminator | None = None,
     seed: int = 0,
 ) -> Rollouts:
     """Walk `rollouts` random paths at once, without noise.
@@ -91,6 +97,7 @@ def roll_out(
         duration: of each rollout, s.
         paths: how the paths wander; `evaluation_paths` when left out.
         course: ground to walk on; level when left out.
+        discriminator: what judges style, if anything.
         push: N for 0.2 s on the chest from a random side, 3 s after the start.
         seed: of paths and pushes.
     """
@@ -101,7 +108,9 @@ def roll_out(
     start_walks(env, seed)
     steps = round(duration / env.period)
     alive, fell = np.ones(rollouts, dtype=bool), np.zeros(rollouts, dtype=bool)
-    error, skate, speed, power = np.full((4, steps, rollouts), np.nan)
+    error, skate, speed, power, style = np.full((5, steps, rollouts), np.nan)
+    window = discriminator.config.window if discriminator else 1
+    history = StyleHistory(rollouts, feature_count(len(env.world.hinges)), window)
     strikes = np.zeros((steps, rollouts, 2), dtype=bool)
     stood = standing(env.clear).any(-1)
     rng = np.random.default_rng(seed + 1)
@@ -119,6 +128,11 @@ def roll_out(
         error[k, alive], power[k, alive] = offsets[alive], used[alive]
         skate[k] = np.where(alive & touching, env.slip, np.nan)
         speed[k, alive] = np.linalg.norm(env.motion.velocity[alive, :2], axis=-1)
+        if discriminator:
+            history.push(style_features(env.motion))
+            if k >= window:
+                rewards = discriminator.paper_rewards(torch.from_numpy(history.windows)).numpy()
+                style[k, alive] = rewards[alive]
         strikes[k] = stands & ~stood & alive[:, None]
         stood = stands
         env.lead()
@@ -131,6 +145,7 @@ def roll_out(
         speed,
         strikes,
         power,
+        style,
         np.array([b.stature for b in bodies])[index],
         np.array([b.mass for b in bodies])[index],
         env.period,

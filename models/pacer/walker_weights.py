@@ -15,6 +15,7 @@ from .local_map import MapSettings
 from .path_follower import FollowerLimits
 from .paths import PathSettings
 from .policy import ActorCritic
+from .style import Discriminator
 from .walker_config import StyleConfig, WalkerConfig, WalkerRewards
 
 
@@ -64,6 +65,22 @@ def load_walker(path: Path) -> tuple[ActorCritic, WalkerConfig, dict[str, Any]]:
     except (KeyError, RuntimeError) as error:
         raise WeightsError(f"{path} holds no walker: {error}") from error
     return model.eval(), config, facts
+
+
+def load_discriminator(path: Path) -> Discriminator:
+    """Read what judges style.
+
+    Raises:
+        WeightsError: the file is missing, broken, or does not fit its own settings.
+    """
+    tensors, facts = load_tensors(path)
+    try:
+        config = walker_config_from_dict(facts["config"]).style
+        model = Discriminator(len(tensors["normalizer.mean"]), config)
+        model.load_state_dict(tensors)
+    except (KeyError, RuntimeError) as error:
+        raise WeightsError(f"{path} holds no discriminator: {error}") from error
+    return model.eval()
 
 
 def grown(tensors: dict[str, Tensor], size: int, at: int) -> dict[str, Tensor]:
