@@ -1,0 +1,72 @@
+"""Tables 2 and 8 on a little recorded street, with an untrained network."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from footfall.models.trace.config import COMPACT
+from footfall.models.trace.network import Trace
+from footfall.models.trace.recordings import Recording, pack_recordings
+from footfall.models.trace.vae import TraceVae
+from footfall.models.trace.weights import save_model
+from footfall.tools import cli
+from footfall.tools import eval_trace_closed_loop as closed_loop
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    root = tmp_path_factory.mktemp("closed_loop")
+    t = np.arange(0, 20.4, 0.4)
+    tracks = [np.column_stack([t, 1.2 * t, np.full_like(t, y)]) for y in (0.0, 1.0)]
+    wall = np.array([[0.0, 3], [30, 3], [30, 4], [0, 4]])
+    whole = Recording("street", tracks, [(0.0, 20.0, "test")], [wall])
+    pack_recordings("street", [whole], 0.25, {}).save(root / "hotel" / "maps.npz")
+    torch.manual_seed(0)
+    for name, network in (("trace", Trace(COMPACT)), ("vae", TraceVae(COMPACT))):
+        network.trajectory_std[4:] = 0.1
+        save_model(root / f"{name}.safetensors", network, {"step": 0})
+    return root
+
+
+@pytest.fixture(autouse=True)
+def hurry(monkeypatch):
+    sampling, guidance = closed_loop.METHODS["direct"]
+    monkeypatch.setitem(closed_loop.METHODS, "direct", (replace(sampling, steps=2, samples=2), guidance))
+    monkeypatch.setattr(closed_loop, "VAE_ITERATIONS", 2)
+
+
+def table(root, number, *more):
+    arguments = ["eval", "trace", "--table", number, "--weights", str(root / "trace.safetensors"), "--json"]
+    folds = ["--recorded", str(root), "--folds", "hotel", "--vae", str(root / "vae.safetensors")]
+    return cli.main([*arguments, *folds, *more])
+
+
+def test_table_2_has_the_papers_the_recorded_and_our_rows(root, capsys):
+    assert table(root, "2", "--methods", "direct", "vae") == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    for guide in ("waypoint", "perturbed", "groups"):
+        methods = [row["method"] for row in rows if row["guide"] == guide]
+        assert methods[:4] == ["paper: VAE", "paper: TRACE, w 0", "paper: TRACE, w -0.5", "recorded"]
+        assert methods[4:] == ["direct", "direct", "vae"]
+    recorded = {row["guide"]: row for row in rows if row["method"] == "recorded"}
+    assert recorded["waypoint"]["error"] == 0.0 and recorded["waypoint"]["lon"] < 0.01
+    assert recorded["groups"]["error"] == pytest.approx(0.5, abs=0.01)  # they walk 1 m apart
+    ours = [row for row in rows if row["method"] == "direct"]
+    assert [row["w"] for row in ours[:2]] == [0.0, -0.5]
+    assert all(row["error"] < 3 and row["seconds"] > 0 for row in ours if row["guide"] == "waypoint")
+
+
+def test_table_8_sweeps_the_context_and_is_written(root, tmp_path, capsys):
+    assert table(root, "8", "--write", str(tmp_path / "results.md")) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert [row["w"] for row in rows if row["method"] == "direct"] == [0.0, -0.3, -0.5, -0.7, -1.0]
+    written = (tmp_path / "results.md").read_text()
+    assert "<!-- begin trace-8 -->" in written and "| -0.500 | paper: TRACE | 0.802 |" in written
+
+
+def test_a_fold_that_is_not_there_is_named(root, capsys):
+    assert table(root, "2", "--folds", "zara1") == 2
+    assert "zara1" in capsys.readouterr().err
