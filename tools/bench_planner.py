@@ -80,7 +80,7 @@ def measure(
     torch.set_num_threads(threads)
     try:
         trace, _ = load_model(weights or WEIGHTS)
-        sampling = Sampling(samples=samples, **({} if steps is None else {"steps": steps}))
+        sampling = Sampling(samples=samples, steps=steps or Sampling().steps)
         ours = TracePlanner(trace, sampling)
         figures: dict[str, Any] = {"plan_ms": {}, "plan_cpu_ms": {}}
         for count in agents:
