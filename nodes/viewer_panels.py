@@ -103,6 +103,9 @@ class Panels:
             options.append(f"#{self.selected}")
         if tuple(options) != tuple(self._choice.options):
             self._choice.options = options
+        chosen = NOBODY if self.selected is None else f"#{self.selected}"
+        if self._choice.value != chosen:  # selected before anybody was there
+            self._choice.value = chosen
         self._person.content = person_html(picture, self.selected)
         self._nodes.content = nodes_html(picture)
         self._topics.content = topics_html(picture)

@@ -249,9 +249,10 @@ def replies(watched: Run, clicks: int) -> dict[str, float]:
     watched.wait(2.0)
     draw = random.Random(0)
     people: list[int] = []
-    for received in watched.messages(3.0):
+    for received in watched.messages(PATIENCE):
         if received.topic == "plans":
             people = received.message.ids.tolist()
+            break
     seconds = []
     for _ in range(clicks if people else 0):
         watched.wait(draw.uniform(0.2, 1.2))

@@ -42,4 +42,5 @@ def test_a_tracker_s_rollout_holds_what_it_did_and_was_rewarded_for(tmp_path):
     weights = {name: getattr(config.rewards, name)[0] for name in take.terms if name != "reward"}
     total = sum(weight * take.terms[name] for name, weight in weights.items())
     assert take.terms["reward"] == pytest.approx(total, abs=1e-4)
+    assert take.reference_contacts is not None
     assert np.array_equal(take.reference_contacts, library.contacts[start : start + len(take)])
