@@ -54,3 +54,8 @@ def test_the_objective_of_ones_own():
         assert left[1] > max(1.0, left[0])
     finally:
         del OBJECTIVES["stay_left"]
+
+
+def test_every_objective_is_in_the_table():
+    document = (ROOT / "docs/trace.md").read_text()
+    assert [name for name in OBJECTIVES if f"`{name}`" not in document] == []
