@@ -87,8 +87,8 @@ class WalkerConfig:
         )
     )
     """Paths to begin with; they widen to `paths` as fewer episodes fail."""
-    widen_below: float = 0.35
-    """Share of failing episodes below which paths get harder and pushes stronger."""
+    widen_below: float = 0.15
+    """Failures per s below which paths get harder and pushes stronger."""
     widening: float = 0.02
     """By how much of the whole, per update."""
     standing: float = 0.25

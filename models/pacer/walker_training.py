@@ -56,7 +56,7 @@ class WalkerTraining:
         self.updates = 0
         self.samples = 0
         self.failing = 1.0
-        """Running share of episodes that fail."""
+        """Running rate of failures, 1/s."""
         env.difficulty = 0.0
         self._observations = env.reset()
         env.age[:] = env.rng.integers(0, config.episode // 2, len(env))  # do not all end together
@@ -76,12 +76,12 @@ class WalkerTraining:
         figures["mean_value"] = float(rollout.returns.mean())
         self.updates += 1
         self.samples += len(rollout.returns)
-        self._widen(figures["failing"])
+        self._widen(figures["failures_per_s"])
         figures["difficulty"] = self.env.difficulty
         return figures
 
     def _widen(self, failing: float) -> None:
-        """Make the paths harder while few episodes fail."""
+        """Make the paths harder while failures are few."""
         self.failing += 0.05 * (failing - self.failing)
         if self.failing < self.config.widen_below:
             self.env.difficulty = min(self.env.difficulty + self.config.widening, 1.0)
