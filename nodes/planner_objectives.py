@@ -17,6 +17,8 @@ TOLERANCE = 0.1
 """Nobody is held closer to a timed way than this [m]."""
 PUNCTUAL = 0.9
 """Urgency of who has a time of arrival."""
+ROOM = 0.1
+"""Kept from obstacles beyond all margins, so that what guidance leaves over is no touch [m]."""
 STANDING = 0.25
 """Who is slower can turn on the spot [m/s]; and does so for a way that is longer than this [m]."""
 TURN_STEPS = 10
@@ -76,7 +78,7 @@ def objectives_of(
     wishes.append(Objective("maximum_speed", {"speed": _tensor(np.maximum(fastest, 0.3))}))
     gap = {"buffer": _tensor(asked.gap + 2 * margin)}
     wishes.append(Objective("agent_avoid", gap, _tensor(_or_one(weights["SocialDistance"]))))
-    room = {"buffer": _tensor(asked.margin + margin)}
+    room = {"buffer": _tensor(asked.margin + margin + ROOM)}
     wishes.append(Objective("obstacle_avoid", room, _tensor(_or_one(weights["ObstacleAvoidance"]))))
     return wishes
 

@@ -26,7 +26,7 @@ from .planner_objectives import Surroundings, facing_the_way, objectives_of, tim
 
 log = logging.getLogger(__name__)
 
-CLEARANCE = 0.3
+CLEARANCE = 0.4
 """Ways keep so far from obstacles [m]."""
 STILL = 0.15
 """Who moves no further than this stands [m]."""

@@ -32,8 +32,9 @@ class Guidance:
         inner_steps: Steps per denoising step in mode `direct`.
         limit: Longest step of one sample's actions, root mean square over the horizon, in standard
             deviations.
-        polish: More steps for the chosen samples at the end, in mode `direct`, and as many again for the
-            objectives of safety alone.
+        polish: More steps for the chosen samples at the end, in mode `direct`, and up to four times as many
+            for the objectives of safety alone.
+        met: A loss up to this needs no step.
         speeds: Guided futures keep between these speeds [m/s]: nobody is made to walk backwards or to race.
     """
 
@@ -43,6 +44,7 @@ class Guidance:
     inner_steps: int = 3
     limit: float = 1.0
     polish: int = 6
+    met: float = 0.0
     speeds: tuple[float, float] = (0.0, 3.0)
 
     def __post_init__(self):
@@ -96,7 +98,7 @@ def guide_direct(
                     actions = clean.detach().requires_grad_()
                     future = future_of(actions)
                 loss = wish.loss(future)
-                if not loss.any():
+                if not (loss > guidance.met).any():
                     continue  # nothing moved: the next objective looks at the same future
                 gradient = gradient_of(loss, actions)
             clean = clean - wish.share[..., None, None] * guidance.step(loss.detach(), gradient, variance)

@@ -220,7 +220,7 @@ def minimum_speed(future: Future, speed: Tensor | float) -> Tensor:
     return torch.relu(wanted[..., None] - future.states[..., 3]).square().sum(-1) * given
 
 
-@objective("maximum_speed")
+@objective("maximum_speed", safety=True)
 def maximum_speed(future: Future, speed: Tensor | float) -> Tensor:
     """Squared excess of the speed above (A,) [m/s], summed over time."""
     wanted, given = per_agent(speed, len(future.states))
