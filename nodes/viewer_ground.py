@@ -14,6 +14,11 @@ if TYPE_CHECKING:
 PIXELS = 2048
 """Longest side of the ground's picture, about."""
 
+TALL = 3.5
+"""Obstacles higher than this and `WIDE` are see-through, so that nobody hides behind them [m]."""
+WIDE = 1.2
+"""Diameter from which an obstacle can hide somebody [m]."""
+
 
 def paint(place: SemanticMap, times: int = 4, grain: bool = True) -> np.ndarray:
     """The layers of a map as a picture (times H, times W, 3) uint8; the first row has the lowest y."""
@@ -90,6 +95,12 @@ def obstacles_mesh(obstacles: list[Obstacle], heights: list[float]) -> tuple[np.
     if not vertices:
         return np.zeros((0, 3)), np.zeros((0, 3), int)
     return np.concatenate(vertices), np.concatenate(faces)
+
+
+def hides(obstacle: Obstacle) -> bool:
+    """Whether somebody can stand behind it unseen from above."""
+    outline = np.asarray(obstacle.polygon, dtype=np.float64)
+    return obstacle.height > TALL and float(np.ptp(outline, axis=0).max()) > WIDE
 
 
 def triangulate(outline: np.ndarray) -> np.ndarray:

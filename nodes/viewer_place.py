@@ -8,16 +8,12 @@ import numpy as np
 from ..messages.map import Obstacle, SemanticMap
 from ..models.render.convex_hull import convex_hull
 from ..models.render.street import Colour, colour_of_obstacle, crown
-from .viewer_ground import ground_mesh, obstacles_mesh
+from .viewer_ground import ground_mesh, hides, obstacles_mesh
 from .viewer_picture import Picture
 
 if TYPE_CHECKING:
     import viser
 
-TALL = 3.5
-"""Obstacles higher than this and `WIDE` are see-through, so that nobody hides behind them [m]."""
-WIDE = 1.2
-"""Diameter from which an obstacle can hide somebody [m]."""
 GLASS = 0.45
 """Opacity of what is tall, and of the crowns of trees."""
 PLAIN_COLOUR, PLAIN_RADIUS, PLAIN_DEPTH = (150, 149, 143), 400.0, 0.08
@@ -55,7 +51,7 @@ class PlaceDrawing:
         for handles in self._handles.values():
             while handles:
                 handles.pop().remove()
-        tall = [_hides(obstacle) for obstacle in place.obstacles]
+        tall = [hides(obstacle) for obstacle in place.obstacles]
         if obstacles:
             solid = [o for o, high in zip(place.obstacles, tall, strict=True) if not high]
             self._draw_obstacles("obstacles", picture, solid, None)
@@ -145,12 +141,6 @@ def _same_ground(one: SemanticMap, other: SemanticMap) -> bool:
         and ((heights[0] is None) == (heights[1] is None))
         and (heights[0] is None or heights[1] is None or np.array_equal(heights[0], heights[1]))
     )
-
-
-def _hides(obstacle: Obstacle) -> bool:
-    """Whether somebody can stand behind it unseen from above."""
-    outline = np.asarray(obstacle.polygon, dtype=np.float64)
-    return obstacle.height > TALL and float(np.ptp(outline, axis=0).max()) > WIDE
 
 
 def look_at_place(server: "viser.ViserServer", picture: Picture) -> None:

@@ -6,6 +6,7 @@ import html
 import json
 import struct
 import zlib
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ from ..messages.objectives import Objectives, Waypoint
 from ..messages.plan import PLAN_DT, Plans
 from ..messages.topics import AGENTS, BODIES, BODY_STATES, FALLS, MAP, OBJECTIVES, PLANS
 from ..models.body.skeleton import PARENTS
-from ..nodes.viewer_ground import paint
+from ..models.render.street import colour_of_obstacle
+from ..nodes.viewer_ground import hides, paint
 from ..nodes.viewer_people import colour_of
 
 PAGE = Path(__file__).parent / "log_html.html"
@@ -211,10 +213,21 @@ def _place(place: SemanticMap) -> dict[str, Any]:
 
 
 def _obstacles(place: SemanticMap) -> list[dict[str, Any]]:
-    return [
-        {"name": o.name, "height": o.height, "polygon": np.round(o.polygon, 3).tolist()}
-        for o in place.obstacles
-    ]
+    seen: Counter[str] = Counter()
+    obstacles = []
+    for obstacle in place.obstacles:
+        colour = colour_of_obstacle(obstacle.name, seen[obstacle.name])
+        seen[obstacle.name] += 1
+        obstacles.append(
+            {
+                "name": obstacle.name,
+                "height": obstacle.height,
+                "polygon": np.round(obstacle.polygon, 3).tolist(),
+                "colour": [round(255 * channel) for channel in colour],
+                "hides": hides(obstacle),
+            }
+        )
+    return obstacles
 
 
 def _waypoints(goals: Objectives) -> dict[str, list[float]]:

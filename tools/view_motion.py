@@ -193,7 +193,7 @@ class MotionViewer:
         places = take.states[frame, bodies, :3].astype(np.float32)
         places[:, 2] = 0.006
         standing = take.contacts[frame].reshape(-1)
-        scales = np.where(standing[:, None], np.float32(0.07), np.float32(1e-6)).repeat(3, axis=1)
+        scales = np.where(standing[:, None], np.float32(0.11), np.float32(1e-6)).repeat(3, axis=1)
         if "feet" in self._drawn:
             self._drawn["feet"].batched_positions = places
             self._drawn["feet"].batched_scales = scales

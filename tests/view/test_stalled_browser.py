@@ -64,11 +64,11 @@ def stalled_browser(url: str) -> socket.socket:
 
 
 def drawing_viewer(run_dir: str) -> int:
-    """The viewer's process, once it has drawn some pictures for the browser that does not read them."""
+    """The viewer's process, once it has drawn for the browser that does not read them."""
     bus = observer(find_graph(run_dir), [DIAGNOSTICS.name])
     try:
         for received in stream(bus, 90.0):
-            if received.message.node == "viewer" and received.message.steps >= 5:
+            if received.message.node == "viewer" and received.message.steps >= 2:
                 return received.message.pid
     finally:
         bus.close()
@@ -84,7 +84,7 @@ def what_happened(log: Path) -> str:
 def test_neither_a_stalled_browser_nor_a_killed_window_changes_the_run(tmp_path):
     alone, log = launch(tmp_path, "alone")
     assert alone.communicate(timeout=200) is not None and alone.returncode == 0
-    watched, seen = launch(tmp_path, "watched", "--view", "0", "--rate", "0.5")
+    watched, seen = launch(tmp_path, "watched", "--view", "0", "--rate", "0.25")
     assert watched.stdout is not None
     url = next(match[1] for line in watched.stdout if (match := re.search(r"open (http\S+)", line)))
     browser = stalled_browser(url)
