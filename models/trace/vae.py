@@ -117,7 +117,7 @@ class VaePlanner(TracePlanner):
         samples: int = 10,
         iterations: int = 100,
         rate: float = 0.02,
-        strength: float = 100.0,
+        strength: float = 10.0,
     ):
         self.trace, self.config = vae, vae.config
         self.sampling = Sampling(samples=samples, reduced=False)
