@@ -122,3 +122,14 @@ def test_weights_travel(vae, tmp_path):
         load_model(tmp_path / "vae.safetensors")
     with pytest.raises(ValueError, match="global map feature"):
         TraceVae(PAPER)
+
+
+def test_the_shipped_baseline_walks_to_waypoints():
+    states, size = walkers()
+    goal = states[:, -1, :2] + torch.tensor([4.0, 0.5])
+    wish = [Objective("waypoint", {"goal": goal, "temperature": 0.2})]
+    planner = VaePlanner(load_vae()[0], samples=5, iterations=60)
+    plan = planner.plan(states, size, objectives=wish)
+    path = torch.from_numpy(plan.positions[range(3), plan.chosen]).float()
+    assert (path - goal[:, None]).norm(dim=-1).min(1).values.max() < 0.3
+    assert (path[:, 1:] - path[:, :-1]).norm(dim=-1).max() < 0.3  # nobody runs
