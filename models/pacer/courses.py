@@ -57,7 +57,8 @@ class Course:
         s = self.settings
         x = s.tile * (np.arange(s.columns) + 0.5)
         y = s.tile * (np.arange(s.levels) + 0.5)
-        return np.stack(np.meshgrid(x, y), -1)
+        centres: Heights = np.stack(np.meshgrid(x, y), -1)
+        return centres
 
 
 def make_tile(kind: str, difficulty: float, settings: CourseSettings, rng: np.random.Generator) -> Heights:

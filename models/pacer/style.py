@@ -154,7 +154,7 @@ class Discriminator(nn.Module):
         unreal = self(fake)
         entropy = 0.5 * (softplus(-real).mean() + softplus(unreal).mean())
         penalty = gradient_penalty(real, seen)
-        last = self.network[-1].weight
+        last = list(self.network.parameters())[-2]
         total = entropy + config.gradient_penalty * penalty + config.logit_cost * last.square().sum()
         figures = {
             "disc_loss": entropy.item(),

@@ -122,7 +122,8 @@ class WalkerEnv:
     @property
     def times(self) -> Array:
         """(N,) s since each episode began."""
-        return self.age * self.period
+        times: Array = self.age * self.period
+        return times
 
     @property
     def offsets(self) -> Array:

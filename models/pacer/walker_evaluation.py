@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -51,7 +52,7 @@ class Rollouts:
     period: float
     """s."""
 
-    def summary(self) -> dict[str, float | int | dict[str, int] | None]:
+    def summary(self) -> dict[str, Any]:
         """The figures of the paper's table 3, and foot skate; None for the style without a discriminator."""
         styled = bool(np.isfinite(self.style).any())
         return {

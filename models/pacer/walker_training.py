@@ -140,8 +140,9 @@ class WalkerTraining:
         if step.whole.any():
             windows = step.windows[step.whole]
             self._windows.append(windows)
-            style[step.whole] = self.style.discriminator.rewards(torch.from_numpy(windows))
-            self._ordinary_style += 0.02 * (float(style[step.whole].mean()) - self._ordinary_style)
+            rewards = self.style.discriminator.rewards(torch.from_numpy(windows))
+            style[torch.from_numpy(step.whole)] = rewards
+            self._ordinary_style += 0.02 * (float(rewards.mean()) - self._ordinary_style)
         share = self.config.style.weight
         return (1 - share) * task + share * style
 

@@ -33,7 +33,8 @@ def test_gradient_penalty_of_a_quadratic_is_known():
     penalty = gradient_penalty(outputs, inputs)
     assert penalty.item() == pytest.approx(expected)
     penalty.backward()  # and it can be learned from: its gradient is 2 A (A x + b) / n
-    np.testing.assert_allclose(inputs.grad, 2 * (x @ matrix + shift) @ matrix / 7, rtol=1e-9)
+    assert inputs.grad is not None
+    np.testing.assert_allclose(inputs.grad.numpy(), 2 * (x @ matrix + shift) @ matrix / 7, rtol=1e-9)
 
 
 def test_rewards_are_the_logarithms():
@@ -83,6 +84,7 @@ def test_it_learns_to_tell_shaken_motion_from_captured(demos):
     rng = np.random.default_rng(1)
     size = demos.sample(1, rng).shape[1]
     learner = StyleLearner(Discriminator(size, CONFIG), demos)
+    figures = {}
     for _ in range(60):
         fake = demos.sample(128, rng)
         figures = learner.learn(fake + 0.3 * rng.normal(size=fake.shape).astype(np.float32))

@@ -238,7 +238,7 @@ def test_training_with_style_learns_both_and_resumes_where_it_was():
         library = MotionLibrary([walk_cycle(env.world.bodies[0], 1.2, 1.0)], env.world.bodies[:1])
         return WalkerTraining(env, config, DemoWindows(library, env.world.hinges, 4))
 
-    training = fresh()
+    training, figures = fresh(), {}
     for _ in range(2):
         figures = training.update()
     assert figures["kl"] > 0 and 0 < figures["style_reward"] <= 1 and figures["disc_loss"] > 0
