@@ -67,7 +67,7 @@ def groups(planner: TracePlanner) -> tuple[np.ndarray, np.ndarray]:
 def waypoints(planner: TracePlanner) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Three people, each with a waypoint 2 m off straight on; positions, waypoints, obstacle corners."""
     start = np.array([[0.0, 0.0], [0.5, 2.2], [0.0, 4.4]])
-    goals = start + np.array([[9.5, 2.0], [9.0, 2.0], [9.0, -2.0]])
+    goals = start + np.array([[8.0, -2.0], [8.0, 2.0], [7.5, 2.0]])
     box = np.array([[4.5, 1.9], [6.0, 1.9], [6.0, 3.1], [4.5, 3.1]])
     y, x = np.mgrid[-10:20:0.1, -10:20:0.1]
     inside = (x > box[0, 0]) & (x < box[1, 0]) & (y > box[0, 1]) & (y < box[2, 1])
@@ -107,8 +107,9 @@ def draw(path: Path, planner: TracePlanner) -> np.ndarray:
     walked, goals, box = waypoints(planner)
     right.fill(*box.T, color="0.6")
     for colour, way, goal in zip(COLOURS, walked, goals, strict=False):
-        right.plot(*way.T, color=colour, lw=1.2)
-        right.plot(*way[::10].T, "o", color=colour, ms=3)
+        there = int(np.linalg.norm(way - goal, axis=1).argmin()) + 1
+        right.plot(*way[:there].T, color=colour, lw=1.2)
+        right.plot(*way[:there:10].T, "o", color=colour, ms=3)
         right.plot(*goal, "x", color=colour, ms=9, mew=2)
     missed = errors(walked, goals)
     right.set_title(f"waypoints 2 m off the straight way, missed by {missed.max():.2f} m at most", fontsize=9)

@@ -23,6 +23,8 @@ def agent_avoid(future: Future, buffer: Tensor | float = 0.2) -> Tensor:
         buffer: Social distance that is kept beyond touching [m] (app. C.5); of two people (A,) the mean.
     """
     agents, samples, steps = future.states.shape[:3]
+    if agents == 1:
+        return future.states.new_zeros(1, samples)
     distance, given = per_agent(buffer, agents)
     kept = future.radius + distance[:, 0] / 2
     p = future.positions
