@@ -11,7 +11,7 @@ from ..models.render.ground_paint import paint as paint_layers
 if TYPE_CHECKING:
     import trimesh
 
-PIXELS = 2048
+PIXELS = 1600
 """Longest side of the ground's picture, about."""
 
 TALL = 3.5

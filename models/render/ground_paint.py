@@ -41,49 +41,65 @@ def paint(
         (times H, times W, 3) sRGB; rows and columns in the order of the rasters.
     """
     masks = {name: np.asarray(layers[name]) > 0 for name in LAYER_COLOURS if name in layers}
-    rows, columns = (times * side for side in np.shape(next(iter(layers.values()))))
-    image = np.full((rows, columns, 3), BARE, dtype=np.float32)
-    speckle = _speckle(rows, columns) if grain else None
-    joints = _joints(rows, columns, _SLAB * times / resolution) if grain else None
+    cells = np.shape(next(iter(layers.values())))
+    image = np.full((times * cells[0], times * cells[1], 3), BARE, dtype=np.float32)
+    speckle = _speckle(image.shape[0], image.shape[1]) if grain else None
+    joints = _joints(image.shape[0], image.shape[1], _SLAB * times / resolution) if grain else None
     for name, mask in masks.items():
-        cover = _cover(mask, times)[..., None]
-        if not cover.any():
+        if not mask.any():
             continue
+        box = _around(mask)
+        cover = _cover(mask[box], times)[..., None]
+        part = tuple(slice(times * side.start, times * side.stop) for side in box)
         surface = np.array(LAYER_COLOURS[name], dtype=np.float32)
         if speckle is not None:
-            surface = surface * (1 + _GRAIN.get(name, 0.0) * speckle)
+            surface = surface * (1 + np.float32(_GRAIN.get(name, 0.0)) * speckle[part])
             if joints is not None and name in _SLABBED:
-                surface = surface * joints
-        image += cover * (surface - image)
+                surface *= joints[part]
+        image[part] += cover * (surface - image[part])
     return np.clip(image.round(), 0, 255).astype(np.uint8)
+
+
+def _around(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Rows and columns of what is set, and two cells more."""
+    spans = (np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0)))
+    first, second = (
+        slice(max(int(span[0]) - 2, 0), min(int(span[-1]) + 3, size))
+        for span, size in zip(spans, mask.shape, strict=True)
+    )
+    return first, second
 
 
 def _cover(mask: NDArray[np.bool_], times: int) -> NDArray[np.float32]:
     """How much of each pixel a layer covers, with rounded outlines instead of the cells' steps."""
-    fine = mask.repeat(times, 0).repeat(times, 1).astype(np.float32)
+    soft = mask.astype(np.float32)
     if times == 1:
-        return fine
+        return soft
+    for _ in range(4):  # each row is mixed with its neighbours, then each column, twice
+        padded = np.pad(soft, ((1, 1), (0, 0)), mode="edge")
+        soft = (0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]).T.astype(np.float32)
+    return np.clip((_finer(soft, times) - 0.5) * (2 * times) + 0.5, 0, 1, dtype=np.float32)
+
+
+def _finer(coarse: NDArray[np.float32], times: int) -> NDArray[np.float32]:
+    """The same picture of `times` pixels a cell, bilinear between the middles of cells."""
     for _ in range(2):
-        fine = _blurred(_blurred(fine, times).T, times).T
-    return np.clip((fine - 0.5) * times + 0.5, 0, 1, dtype=np.float32)
-
-
-def _blurred(image: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
-    """Means over 2 `reach` + 1 rows, at the rim over those there are."""
-    padded = np.pad(image, ((reach + 1, reach), (0, 0)), mode="edge")
-    total = padded.cumsum(axis=0, dtype=np.float32)
-    return (total[2 * reach + 1 :] - total[: -2 * reach - 1]) * np.float32(1 / (2 * reach + 1))
+        size = len(coarse)
+        place = np.clip((np.arange(times * size) + 0.5) / times - 0.5, 0, size - 1)
+        low = np.minimum(place.astype(int), max(size - 2, 0))
+        share = (place - low).astype(np.float32)[:, None]
+        high = np.minimum(low + 1, size - 1)
+        mixed = coarse[low] * (1 - share) + coarse[high] * share
+        coarse = np.ascontiguousarray(mixed.T, dtype=np.float32)
+    return coarse
 
 
 def _speckle(rows: int, columns: int) -> NDArray[np.float32]:
     """Brightness (rows, columns, 1) about zero: fine dots and wide stains."""
     draw = np.random.default_rng(0)
-    dots = draw.uniform(-0.5, 0.5, (rows, columns)).astype(np.float32)
+    dots = draw.random((rows, columns), dtype=np.float32) - np.float32(0.5)
     coarse = draw.uniform(-1, 1, (rows // 24 + 2, columns // 24 + 2)).astype(np.float32)
-    stains = coarse.repeat(24, 0).repeat(24, 1)[:rows, :columns]
-    for _ in range(2):
-        stains = _blurred(_blurred(stains, 12).T, 12).T
-    return (dots + stains)[..., None]
+    return (dots + _finer(coarse, 24)[:rows, :columns])[..., None]
 
 
 def _joints(rows: int, columns: int, period: float) -> NDArray[np.float32]:
