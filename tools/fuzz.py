@@ -7,9 +7,11 @@ import argparse
 import json
 import re
 import resource
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -21,6 +23,10 @@ from ..messages.codec import Buffer, Codec, Header, MessageError, validate
 from ..messages.graph import Edge, Input
 from ..messages.samples import sample
 from ..messages.topics import TOPICS
+from .results import table, write_section
+
+PROGRESS_FRAMES = 10_000
+"""Frames between two reports of progress."""
 
 Parts = list[bytes]
 Mutation = Callable[[Parts, np.random.Generator], Parts]
@@ -31,17 +37,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=int, default=100_000, help="messages to break (default: 100000)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--write", type=Path, metavar="FILE", help="put the figures into this Markdown file")
 
 
 def run(args: argparse.Namespace) -> int:
     """Break messages; 1 if anything but a counted rejection came of it."""
-    result = fuzz(args.frames, args.seed)
+    result = fuzz(args.frames, args.seed, _progress if sys.stderr.isatty() else None)
+    if args.write:
+        words = f"footfall bench fuzz --frames {args.frames} --seed {args.seed}"
+        write_section(args.write, "fuzz", f"### Broken frames (`{words}`)\n\n{result.markdown()}")
     if args.json:
         print(json.dumps(result.facts()))
     else:
         for key, value in result.facts().items():
             print(f"{key:22} {value}")
     return 1 if result.crashes else 0
+
+
+def _progress(done: int, frames: int) -> None:
+    end = "\n" if done == frames else ""
+    print(f"\r{done} of {frames} frames{end}", end="", file=sys.stderr, flush=True)
 
 
 @dataclass
@@ -58,6 +73,12 @@ class Result:
     memory_growth: int = 0
     """Growth of the peak resident memory [bytes]."""
 
+    def markdown(self) -> str:
+        """The figures as a table."""
+        rows = [(key, value) for key, value in self.facts().items() if isinstance(value, (int, float))]
+        rows += [(f"rejected, {name}", count) for name, count in self.by_mutation.most_common()]
+        return table(("", "count"), [(key.replace("_", " "), str(value)) for key, value in rows])
+
     def facts(self) -> dict[str, object]:
         """For printing."""
         return {
@@ -73,8 +94,14 @@ class Result:
         }
 
 
-def fuzz(frames: int, seed: int = 0) -> Result:
-    """Break so many messages, all types in turn, and watch what an inlet makes of them."""
+def fuzz(frames: int, seed: int = 0, progress: Callable[[int, int], None] | None = None) -> Result:
+    """Break so many messages, all types in turn, and watch what an inlet makes of them.
+
+    Args:
+        frames: How many.
+        seed: Of everything random.
+        progress: Told now and then how many are done, and of how many.
+    """
     rng = np.random.default_rng(seed)
     result = Result()
     targets = [target for topic in TOPICS for target in _targets(topic)]
@@ -87,6 +114,8 @@ def fuzz(frames: int, seed: int = 0) -> Result:
         broken = splice(parts, other, rng) if mutation is None else mutation(list(parts), rng)
         name = "splice" if mutation is None else mutation.__name__
         _feed(topic, codec, broken, name, result)
+        if progress and ((index + 1) % PROGRESS_FRAMES == 0 or index + 1 == frames):
+            progress(index + 1, frames)
     result.seconds = perf_counter() - begin
     result.memory_growth = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
     return result

@@ -1,6 +1,7 @@
 """The benches run, and what they report is consistent."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -22,7 +23,9 @@ def test_bench_bus() -> None:
 
 
 def test_no_broken_frame_gets_through_or_breaks_the_receiver() -> None:
-    result = fuzz(4000, seed=3)
+    told: list[tuple[int, int]] = []
+    result = fuzz(4000, seed=3, progress=lambda done, frames: told.append((done, frames)))
+    assert told == [(4000, 4000)]
     assert result.crashes == []
     assert result.accepted + result.rejected == result.frames == 4000
     assert set(result.by_mutation) == {"splice"} | {m.__name__ for m in MUTATIONS if m}
@@ -30,8 +33,13 @@ def test_no_broken_frame_gets_through_or_breaks_the_receiver() -> None:
     assert result.memory_growth < 100 << 20
 
 
-def test_bench_fuzz_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["bench", "fuzz", "--frames", "200", "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
+def test_bench_fuzz_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    table = tmp_path / "results.md"
+    table.write_text("# Results\n\nabove\n")
+    for _ in range(2):
+        assert cli.main(["bench", "fuzz", "--frames", "200", "--json", "--write", str(table)]) == 0
+    text = table.read_text()
+    assert text.startswith("# Results\n\nabove\n") and text.count("| frames | 200 |") == 1
+    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert facts["frames"] == 200
     assert facts["crashes"] == 0
