@@ -1,9 +1,10 @@
 """The humanoid: skeleton, anthropometry, and the body of a shape vector."""
 
-from .body import (
+from .anthropometry import ShapeError, sample_shapes, shape_for
+from .body import FOOT_BODIES, SOLE_POINTS, Body, describe
+from .skeleton import (
     BODY_INDEX,
     BODY_NAMES,
-    FOOT_BODIES,
     JOINT_GAINS,
     JOINT_INDEX,
     JOINT_LIMITS,
@@ -12,13 +13,7 @@ from .body import (
     N_BODIES,
     N_JOINTS,
     PARENTS,
-    SOLE_POINTS,
-    Body,
-    ShapeError,
-    describe,
     forward_kinematics,
-    sample_shapes,
-    shape_for,
 )
 
 __all__ = [

@@ -12,42 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .anthropometry import Measurements, ShapeError, measure, sample_shapes, shape_for
+from .anthropometry import Measurements, measure
 from .segments import Segments, build_segments
 from .skeleton import (
     BODY_INDEX,
     BODY_NAMES,
-    JOINT_GAINS,
-    JOINT_INDEX,
-    JOINT_LIMITS,
-    JOINT_NAMES,
-    LITE_JOINTS,
     N_BODIES,
-    N_JOINTS,
     PARENTS,
-    forward_kinematics,
 )
-
-__all__ = [
-    "BODY_INDEX",
-    "BODY_NAMES",
-    "FOOT_BODIES",
-    "JOINT_GAINS",
-    "JOINT_INDEX",
-    "JOINT_LIMITS",
-    "JOINT_NAMES",
-    "LITE_JOINTS",
-    "N_BODIES",
-    "N_JOINTS",
-    "PARENTS",
-    "SOLE_POINTS",
-    "Body",
-    "ShapeError",
-    "describe",
-    "forward_kinematics",
-    "sample_shapes",
-    "shape_for",
-]
 
 FOOT_BODIES: tuple[int, ...] = tuple(BODY_INDEX[name] for name in ("L_Ankle", "L_Toe", "R_Ankle", "R_Toe"))
 """Bodies that may touch the ground while the person is on their feet."""

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..body.body import BODY_INDEX, JOINT_LIMITS, Body
+from ..body import BODY_INDEX, JOINT_LIMITS, Body
 from ..body.skeleton import matrix_from_quaternion
 from . import footsteps, pose
 from .footsteps import HeightAt

@@ -11,11 +11,7 @@ from .checks import check_scene
 from .draw import draw_entries
 from .file import (
     Event,
-    Flow,
-    Groups,
-    NewGoal,
     Obstacle,
-    ObstacleDropped,
     Point,
     RandomPopulation,
     RecordedFile,
@@ -37,27 +33,9 @@ from .layers import (
 from .population import Entry, RecordedPopulation, Track, recorded_entries
 from .terrain import Terrain
 
-__all__ = [
-    "Entry",
-    "Event",
-    "Flow",
-    "Groups",
-    "NewGoal",
-    "Obstacle",
-    "ObstacleDropped",
-    "RandomPopulation",
-    "RecordedPopulation",
-    "Scene",
-    "SceneError",
-    "Terrain",
-    "Track",
-    "load_scene",
-    "save_scene",
-    "shipped_scenes",
-]
-
 SHIPPED = Path(__file__).resolve().parents[2] / "launch" / "scenes"
-ROAD_COST = 4.0  # a metre of road counts as four metres of pavement for someone who chooses a way
+ROAD_COST = 4.0
+"""A metre of road off the crosswalk counts as so many metres of pavement for somebody who looks for a way."""
 
 
 @dataclass(frozen=True, eq=False)
