@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from ..models.scene.scene import SHIPPED, Flow, Groups, NewGoal, Obstacle, RandomPopulation, Scene, save_scene
+from ..models.scene import Flow, Groups, NewGoal, Obstacle, RandomPopulation, Scene, save_scene
+from ..models.scene.scene import SHIPPED
 from .make_slopes import slopes
 from .scene_shapes import (
     bench,
@@ -250,28 +251,28 @@ def plaza() -> Scene:
 
 
 def corridor() -> Scene:
-    """A 20 m long, 4 m wide corridor that two streams of fifteen walk through against each other."""
-    origin = (-12.0, -2.5)
-    cells = (50, 240)
-    pilasters = [rect(x - 0.2, 1.8, x + 0.2, 2.0) for x in (-5.0, 0.0, 5.0)]
-    pilasters += [rect(x - 0.2, -2.0, x + 0.2, -1.8) for x in (-5.0, 0.0, 5.0)]
+    """A 20 m long, 6 m wide corridor that two streams of fifteen walk through against each other."""
+    origin = (-12.0, -3.5)
+    cells = (70, 240)
+    pilasters = [rect(x - 0.2, 2.8, x + 0.2, 3.0) for x in (-5.0, 0.0, 5.0)]
+    pilasters += [rect(x - 0.2, -3.0, x + 0.2, -2.8) for x in (-5.0, 0.0, 5.0)]
     obstacles: list[Obstacle] = [
-        solid("north wall", rect(-12, 2.0, 12, 2.5), 3.0),
-        solid("south wall", rect(-12, -2.5, 12, -2.0), 3.0),
+        solid("north wall", rect(-12, 3.0, 12, 3.5), 3.0),
+        solid("south wall", rect(-12, -3.5, 12, -3.0), 3.0),
         *(solid("pilaster", pilaster, 3.0) for pilaster in pilasters),
-        solid("drinks machine", rect(2.2, 1.4, 3.1, 2.0), 1.9),
-        solid("bench", rect(-3.4, -2.0, -1.6, -1.6), 0.5),
+        solid("drinks machine", rect(2.2, 2.4, 3.1, 3.0), 1.9),
+        solid("bench", rect(-3.4, -3.0, -1.6, -2.6), 0.5),
     ]
     return Scene(
         name="corridor",
-        description="Corridor, 20 x 4 m, with two opposing streams of fifteen people each.",
+        description="Corridor, 20 x 6 m, with two opposing streams of fifteen people each.",
         resolution=RESOLUTION,
         origin=origin,
-        layers={"walkable": covered(rect(-12, -2, 12, 2), cells, RESOLUTION, origin)},
+        layers={"walkable": covered(rect(-12, -3, 12, 3), cells, RESOLUTION, origin)},
         obstacles=tuple(obstacles),
         areas={
-            "west_end": outline(rect(-11.8, -1.7, -8.0, 1.7)),
-            "east_end": outline(rect(8.0, -1.7, 11.8, 1.7)),
+            "west_end": outline(rect(-11.8, -2.6, -8.0, 2.6)),
+            "east_end": outline(rect(8.0, -2.6, 11.8, 2.6)),
         },
         population=RandomPopulation(
             count=30,
