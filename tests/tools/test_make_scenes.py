@@ -70,7 +70,7 @@ def test_obstacles_stand_apart_on_the_map(scene: Scene) -> None:
     [
         ("crossing", (40, 40), 20),
         ("plaza", (30, 30), 25),
-        ("corridor", (24, 5), 30),
+        ("corridor", (24, 7), 30),
         ("slopes", (34, 24), 20),
     ],
 )
