@@ -12,7 +12,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "demo": ("demo", "a street corner: launch, record, draw"),
     "record": ("record", "record a running graph"),
     "replay": ("replay", "play a log into a graph"),
-    "topic": ("topic", "look at topics: list, info, schema, echo, hz, bw, delay"),
+    "topic": ("topic", "topics: list, info, schema, echo, hz, bw, delay, pub"),
     "param": ("param", "see and change parameters of running nodes: list, set"),
     "control": ("control", "rule the clock of a running graph, or end it: pause, resume, step, rate, stop"),
     "steer": ("steer", "ask something of a running scene: waypoints, speeds, groups, obstacles, pushes"),
@@ -33,7 +33,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "eval trace": ("eval_trace", "evaluate it"),
     "eval pacer": ("eval_pacer", "walk random paths with a trained walker: figures, film, pictures"),
     "eval tracker": ("eval_tracker", "follow clips with a trained tracker: figures and film"),
-    "bench": ("bench", "measure: bus, fuzz, ..."),
+    "bench": ("bench", "measure: bus, fuzz, kill, soak, ..."),
     "keys": ("keys", "make keys for graphs open to the network"),
 }
 """By command: the module in tools/ that has `add_parser` and `run`, and one line about it."""
