@@ -5,13 +5,14 @@ import subprocess
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from PIL import Image
 
 from footfall.models.body import describe, sample_shapes
 from footfall.models.render import gl
 from footfall.models.render.camera import FIELD_OF_VIEW_DEG, Camera
 from footfall.models.render.gl import RenderError, find_gl_backend
 from footfall.models.render.looks import dress
-from footfall.models.render.renderer import CrowdRenderer, GroundPicture
+from footfall.models.render.renderer import CrowdRenderer, GroundPicture, Stroke
 from footfall.models.render.video import write_video
 from footfall.models.scene import Obstacle
 
@@ -189,3 +190,35 @@ def test_films_that_cannot_be_are_refused(tmp_path):
         write_video(tmp_path / "nowhere" / "a.mp4", [frame], 30.0)
     with pytest.raises(RenderError, match="Frame 1 has shape"):
         write_video(tmp_path / "a.mp4", [frame, frame[:, :32]], 30.0)
+
+
+@needs_gl
+def test_strokes_and_the_crowns_of_trees():
+    """A line lies where it was drawn; a tree between camera and people is seen through, one behind is not."""
+    square = np.array([[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]])
+    trees = [
+        Obstacle(name="tree", polygon=square - np.array([0.0, 6.0]), height=5.0),
+        Obstacle(name="tree", polygon=square + np.array([0.0, 6.0]), height=5.0),
+    ]
+    line = Stroke(np.array([[-1.0, 0.0, 0.5], [1.0, 0.0, 0.5]]), RED, 0.1)
+    with CrowdRenderer([], trees, width=WIDTH, height=HEIGHT, shadows=False) as renderer:
+        camera = Camera((0.0, 0.0, 0.5), 8.0, 90.0, -10.0)
+        with_line = renderer.render(np.zeros((0, 24, 7)), camera, strokes=[line])
+        assert centre_of(with_line, RED) == pytest.approx((WIDTH / 2, HEIGHT / 2), abs=2)
+        assert centre_of(renderer.render(np.zeros((0, 24, 7)), camera), RED) is None
+        near, far = renderer.model.geom_rgba[renderer._crowns, 3]
+        assert near < 0.5 and far == 1.0
+        renderer.render(np.zeros((0, 24, 7)), Camera.top((0.0, 0.0), 20.0))
+        assert (renderer.model.geom_rgba[renderer._crowns, 3] < 0.5).all()
+
+
+def test_a_gif_has_every_frame_and_repeats(tmp_path):
+    frames = [np.full((48, 64, 3), (20 * i, 0, 255 - 20 * i), dtype=np.uint8) for i in range(8)]
+    path = tmp_path / "film.gif"
+    assert write_video(path, iter(frames), 10.0) == 8
+    with Image.open(path) as picture:
+        assert (picture.size, picture.n_frames, picture.info["loop"]) == ((64, 48), 8, 0)  # type: ignore[attr-defined]
+        assert picture.info["duration"] == 100
+        picture.seek(7)
+        last = np.array(picture.convert("RGB"))
+    assert last.reshape(-1, 3).mean(axis=0) == pytest.approx([140, 0, 115], abs=8)

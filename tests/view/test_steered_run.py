@@ -10,20 +10,42 @@ import pytest
 
 from footfall.launch.running import find_graph
 from footfall.messages.config import ConfigError
+from footfall.messages.graph import Graph
 from footfall.messages.link import Steer
 from footfall.messages.log import LogReader, LogWriter
 from footfall.messages.objectives import TargetSpeed, Waypoint
 from footfall.messages.steering import DropObstacle, SetSpeed, SetWaypoint, Steering
-from footfall.messages.topics import MAP, OBJECTIVES, STEERING
+from footfall.messages.topics import AGENTS, MAP, OBJECTIVES, STEERING
 from footfall.tools.cli import main
 from footfall.tools.control import ask
+from footfall.tools.observe import observer, stream
 
 pytestmark = pytest.mark.slow
 COMMANDS = (
     SetWaypoint(0, (1.5, 0.5)),
     SetSpeed(1, 0.6),
-    DropObstacle("crate", [(0.0, 0.0), (0.4, 0.0), (0.4, 0.4), (0.0, 0.4)]),
+    DropObstacle("crate", [(2.0, -2.0), (2.4, -2.0), (2.4, -1.6), (2.0, -1.6)]),
 )
+
+
+def walking_graph(run_dir: Path) -> Graph:
+    """The graph of a run, once people walk in it."""
+    deadline = time.monotonic() + 90
+    while True:
+        try:
+            graph = find_graph(str(run_dir))
+            break
+        except ConfigError:  # not there yet
+            assert time.monotonic() < deadline
+            time.sleep(0.3)
+    bus = observer(graph, [AGENTS.name])
+    try:
+        for received in stream(bus, 90.0):
+            if len(received.message.ids) == 3:
+                return graph
+    finally:
+        bus.close()
+    raise AssertionError("nobody walks")
 
 
 @pytest.fixture(scope="module")
@@ -32,22 +54,17 @@ def steered(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("steered")
     process = subprocess.Popen(
         [
-            *(sys.executable, "-m", "footfall.tools.cli", "launch", "corridor", "--set", "count=3"),
-            *("--duration", "8", "--rate", "1", "--record", "run.mcap", "--run-dir", str(folder / "r")),
+            *(sys.executable, "-m", "footfall.tools.cli", "launch", "crossing", "--set", "count=3"),
+            *("--duration", "9", "--rate", "1", "--record", "run.mcap", "--run-dir", str(folder / "r")),
         ],
         cwd=folder,
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
         stdout=subprocess.DEVNULL,
     )
     try:
-        deadline = time.monotonic() + 90
-        left = list(COMMANDS)
-        while left:
-            try:
-                ask(find_graph(str(folder / "r")), Steer(left[0]))
-                left.pop(0)
-            except ConfigError:  # not there yet
-                assert process.poll() is None and time.monotonic() < deadline
+        graph = walking_graph(folder / "r")
+        for command in COMMANDS:
+            ask(graph, Steer(command))
             time.sleep(0.3)
         assert process.wait(120) == 0
     finally:
