@@ -23,7 +23,8 @@ from .eval_trace_pictures import draw_guides, draw_samples
 
 QUICK_SCENES = 10
 UNGUIDED = Sampling(solver="dpm", steps=20, samples=3)
-SEVERAL = Sampling(solver="dpm", steps=8, samples=20)
+WARM = dataclasses.replace(UNGUIDED, temperature=1.03)
+SEVERAL = Sampling(samples=20)
 SLOW = Sampling(solver="ddim", steps=20, samples=20)
 METHODS: dict[str, tuple[Sampling, Guidance]] = {
     "noisy": (SLOW, Guidance(mode="noisy")),
@@ -170,7 +171,8 @@ def table_1(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
 
     def reports(guide: str) -> Iterator[tuple[str, Report]]:
         if guide == "none":
-            yield "unguided", evaluate(TracePlanner(trace, UNGUIDED), scenes, choice="every", clock=clock)
+            for name, sampling in (("unguided", UNGUIDED), (f"noise x {WARM.temperature}", WARM)):
+                yield name, evaluate(TracePlanner(trace, sampling), scenes, choice="every", clock=clock)
             if "vae" in methods:
                 yield "vae", evaluate(VaePlanner(load_vae()[0], 3), scenes, choice="every", clock=clock)
             return
@@ -199,7 +201,7 @@ def table_5(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
     apart.load_state_dict(trace.state_dict())
     planners = {
         trace.config.name: TracePlanner(trace, dataclasses.replace(UNGUIDED, samples=20)),
-        f"{trace.config.name}, dpm 8": TracePlanner(trace, SEVERAL),
+        f"{trace.config.name}, {SEVERAL.solver} {SEVERAL.steps}": TracePlanner(trace, SEVERAL),
         f"{trace.config.name}, neighbours at constant velocity": TracePlanner(apart.eval(), SEVERAL),
     }
     if VAE_WEIGHTS.is_file():

@@ -45,6 +45,8 @@ class Sampling:
         steps: Denoising steps; `ddpm` always takes all.
         samples: Futures per agent.
         context_weight: w of classifier-free sampling (eq 4); 0 needs a single network call.
+        temperature: Standard deviation of the noise that sampling begins with; a little above 1 makes up for
+            the variety that small networks and few steps lose.
         reduced: Network in bfloat16.
         keep: With a previous plan: noise level from which it is denoised again, as a share of all steps.
     """
@@ -53,6 +55,7 @@ class Sampling:
     steps: int = 5
     samples: int = 10
     context_weight: float = 0.0
+    temperature: float = 1.0
     reduced: bool = True
     keep: float = 0.6
 
@@ -232,7 +235,7 @@ class TracePlanner:
         """
         sampling, shape = self.sampling, (len(context), self.sampling.samples, self.config.horizon, 2)
         solver = sampling.make_solver(self.schedule)
-        noise = torch.randn(shape, generator=generator)
+        noise = sampling.temperature * torch.randn(shape, generator=generator)
         encodings = self._encode(context)
         first = 0
         if start is not None:
