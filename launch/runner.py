@@ -78,7 +78,7 @@ class Runner:
         """Whether deaths after the end are of no interest: of nodes that spoke with others that have gone."""
         self._last_words: dict[str, Failed] = {}
         self._counts = Counts()
-        self._signs = VitalSigns(self.graph)
+        self._signs = VitalSigns(self.graph, lambda name: self.supervisor.pid(name))
         self._outside = Outside(self.graph, topics)
         self._score: Score | None = None
         self._sim_ns = 0

@@ -3,7 +3,7 @@
 import math
 import re
 import signal
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
@@ -23,6 +23,8 @@ class _Node:
     """When it last reported; None while it is starting."""
     aborted: float | None = None
     """When it was found hanging."""
+    waited: float = 0.0
+    """How long it had waited for a processor when it last reported [s]."""
 
 
 class VitalSigns:
@@ -30,9 +32,11 @@ class VitalSigns:
 
     Args:
         graph: The nodes, with their watchdogs.
+        pid_of: Process id of a node that runs.
     """
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(self, graph: Graph, pid_of: Callable[[str], int | None]) -> None:
+        self._pid_of = pid_of
         self._nodes = {
             node.name: _Node(patience(graph, node)) for node in graph.nodes if node.name != LAUNCHER
         }
@@ -44,10 +48,12 @@ class VitalSigns:
         """A node has reported: it is watched from its first report on."""
         if (node := self._nodes.get(name)) and node.aborted is None:
             node.heard = self._watched
+            node.waited = waited_for_processor(self._pid_of(name))
 
     def hanging(self, alive: Iterable[str]) -> Iterator[tuple[str, signal.Signals]]:
         """Who hangs, and the signal that is due: SIGABRT first, and SIGKILL for who does not end of that.
 
+        Who waits for a processor on a machine with too much to do does not hang: that time does not count.
         To be asked often, after all reports that have come were `heard`.
         """
         before, self._looked = self._looked, monotonic()
@@ -56,8 +62,10 @@ class VitalSigns:
         for name in alive:
             node = self._nodes[name]
             if node.aborted is None and node.heard is not None and now - node.heard > node.patience:
-                node.aborted = now
-                yield name, signal.SIGABRT
+                starved = waited_for_processor(self._pid_of(name)) - node.waited
+                if now - node.heard - starved > node.patience:
+                    node.aborted = now
+                    yield name, signal.SIGABRT
             elif node.aborted is not None and now - node.aborted > ABORT_GRACE:
                 node.aborted = math.inf
                 yield name, signal.SIGKILL
@@ -76,6 +84,17 @@ class VitalSigns:
         place = innermost_frame(output)
         stacks = f" in {place}; all stacks are in {output}" if place else ""
         return f"hung, no sign of life for {node.patience:g} s{stacks}"
+
+
+def waited_for_processor(pid: int | None) -> float:
+    """How long the main thread of a process was ready to run and did not get a processor, so far [s].
+
+    0 where the kernel does not tell (`/proc/PID/schedstat`, Linux).
+    """
+    try:
+        return int(Path(f"/proc/{pid}/schedstat").read_text().split()[1]) * 1e-9
+    except (OSError, IndexError, ValueError):
+        return 0.0
 
 
 def innermost_frame(output: Path) -> str | None:

@@ -151,7 +151,7 @@ class Launched:
 
     def first_step(self, node: str, life: int) -> float | None:
         """When a node took its first step of a life; None if it did not [s]."""
-        deadline = monotonic() + PATIENCE / 4
+        deadline = monotonic() + PATIENCE
         while monotonic() < deadline:
             self.bus.poll(0.05)
             for received in take(self.bus):
@@ -162,7 +162,7 @@ class Launched:
 
     def next_tick(self) -> float | None:
         """Simulated time of the newest tick, once there is a new one; None if none comes [s]."""
-        deadline = monotonic() + PATIENCE / 4
+        deadline = monotonic() + PATIENCE
         while monotonic() < deadline:
             self.bus.poll(0.05)
             if stamps := [r.stamp_ns for r in take(self.bus) if r.topic == CLOCK.name]:

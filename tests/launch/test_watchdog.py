@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from footfall.launch.check import check
-from footfall.launch.vital_signs import VitalSigns, innermost_frame
+from footfall.launch.vital_signs import VitalSigns, innermost_frame, waited_for_processor
 from footfall.launch.wiring import complete, with_recorder
 from footfall.messages.config import ConfigError
 from footfall.messages.graph import ClockSpec, Graph, Input, NodeSpec, Restart, patience
@@ -47,7 +47,7 @@ def test_patience() -> None:
 def test_only_who_has_spoken_can_fall_silent(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     now = 100.0
     monkeypatch.setattr("footfall.launch.vital_signs.monotonic", lambda: now)
-    signs = VitalSigns(alone(NodeSpec("a", "m", watchdog=3.0)))
+    signs = VitalSigns(alone(NodeSpec("a", "m", watchdog=3.0)), lambda name: None)
 
     def look_for(seconds: float) -> list[tuple[str, signal.Signals]]:
         nonlocal now
@@ -67,6 +67,27 @@ def test_only_who_has_spoken_can_fall_silent(monkeypatch: pytest.MonkeyPatch, tm
     assert signs.died("a", tmp_path / "none") == "hung, no sign of life for 3 s"
     assert signs.died("a", tmp_path / "none") is None
     assert look_for(5.0) == []  # the next life is only starting
+
+
+def test_who_waits_for_a_processor_does_not_hang(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, waited = 100.0, 7.0
+    monkeypatch.setattr("footfall.launch.vital_signs.monotonic", lambda: now)
+    monkeypatch.setattr("footfall.launch.vital_signs.waited_for_processor", lambda pid: waited)
+    signs = VitalSigns(alone(NodeSpec("a", "m", watchdog=3.0)), lambda name: 1)
+    signs.heard("a")
+    for _ in range(100):  # ten seconds, of which nine on the run queue
+        now, waited = now + 0.1, waited + 0.09
+        assert list(signs.hanging({"a"})) == []
+    found = []
+    for _ in range(25):
+        now += 0.1
+        found += signs.hanging({"a"})
+    assert found == [("a", signal.SIGABRT)]
+
+
+def test_the_kernel_tells_who_waited() -> None:
+    assert waited_for_processor(os.getpid()) > 0.0
+    assert waited_for_processor(None) == 0.0
 
 
 def test_the_innermost_frame_is_that_of_the_last_dump(tmp_path: Path) -> None:
