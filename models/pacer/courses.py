@@ -57,8 +57,7 @@ class Course:
         s = self.settings
         x = s.tile * (np.arange(s.columns) + 0.5)
         y = s.tile * (np.arange(s.levels) + 0.5)
-        centres: Heights = np.stack(np.meshgrid(x, y), -1)
-        return centres
+        return np.stack(np.meshgrid(x, y), -1).astype(np.float64)
 
 
 def make_tile(kind: str, difficulty: float, settings: CourseSettings, rng: np.random.Generator) -> Heights:

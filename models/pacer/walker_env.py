@@ -122,8 +122,7 @@ class WalkerEnv:
     @property
     def times(self) -> Array:
         """(N,) s since each episode began."""
-        times: Array = self.age * self.period
-        return times
+        return np.asarray(self.age * self.period, dtype=np.float64)
 
     @property
     def offsets(self) -> Array:
