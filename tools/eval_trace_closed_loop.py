@@ -25,7 +25,7 @@ QUICK_ROLLOUTS = 4
 SAMPLES = 10  # app. C.5
 VAE_ITERATIONS = 200  # app. C.4
 STRENGTH = {"waypoint": 0.2, "perturbed": 0.2, "groups": 1.0}
-"""Of guidance: gentle, as a second later there is another plan. Tuned on validation scenes."""
+"""Of guidance: waypoints gently, as a second later there is another plan (chosen on validation scenes)."""
 METHODS: dict[str, tuple[Sampling, Guidance]] = {
     "filter": (Sampling(steps=8, samples=SAMPLES), Guidance(strength=0.0, inner_steps=1, polish=0)),
     "noisy": (Sampling(solver="ddim", steps=20, samples=SAMPLES), Guidance(mode="noisy")),
