@@ -46,11 +46,14 @@ class Controller(Node[Config]):
         self._gait: Gait | None = None
         self._bodies: dict[int, Body] = {}
         self._followed: dict[int, Follower] = {}
+        self._until: float | None = None
+        """Simulation time of the pose that was asked for last [s]."""
 
     def on_time_jump(self) -> None:
         """Forget who walked where."""
         self._gait = None
         self._followed = {}
+        self._until = None
 
     def step(self, inbox: Inbox) -> Iterable[Outgoing]:
         """Poses for everybody one tick from now."""
@@ -63,6 +66,9 @@ class Controller(Node[Config]):
         self._attend(gait, inbox)
         self._take_plans(inbox)
         followers = [self._followed[i] for i in gait.ids.tolist()]
+        until = inbox.now + TICK
+        elapsed = TICK if self._until is None else until - self._until  # more where ticks were missed
+        self._until = until
         if not followers:
             return [
                 BODY_ACTIONS(
@@ -72,14 +78,14 @@ class Controller(Node[Config]):
                 )
             ]
         for follower in followers:
-            follower.advance(TICK, self.config.max_turn_rate)
+            follower.advance(until, self.config.max_turn_rate)
         command = Command.of(
             position=[f.position for f in followers],
             heading=[f.heading for f in followers],
             speed=[f.speed for f in followers],
             turn_rate=[f.turn_rate for f in followers],
         )
-        roots, joints = gait.update(command, TICK)
+        roots, joints = gait.update(command, elapsed if elapsed > 0 else TICK)
         ids = gait.ids.astype(np.int32)
         return [BODY_ACTIONS(BodyActions(ids, joints.astype(np.float32), roots.astype(np.float32)))]
 
@@ -149,9 +155,12 @@ class Follower:
         self._times = np.concatenate([[self.time], times[ahead]])
         self._way = np.column_stack([np.vstack([self.position, points[ahead]]), headings])
 
-    def advance(self, dt: float, max_turn_rate: float) -> None:
-        """Be where the plan is after `dt`; at its end, or without one, stand."""
-        self.time += dt
+    def advance(self, until: float, max_turn_rate: float) -> None:
+        """Be where the plan is at the time `until` [s]; at its end, or without one, stand."""
+        dt = until - self.time
+        if dt <= 0:
+            return
+        self.time = until
         x, y, heading = (float(np.interp(self.time, self._times, column)) for column in self._way.T)
         turn = (heading - self.heading + np.pi) % (2 * np.pi) - np.pi
         turn = float(np.clip(turn, -max_turn_rate * dt, max_turn_rate * dt))

@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from footfall.nodes.controller import TICK, Follower
+from footfall.messages.body import Bodies, BodyStates
+from footfall.messages.map import SemanticMap
+from footfall.messages.plan import Plans
+from footfall.messages.topics import BODIES, BODY_STATES, MAP, PLANS
+from footfall.nodes.controller import TICK, Config, Controller, Follower
 
 
 def straight(speed: float, start: float = 0.0, count: int = 50):
@@ -14,7 +18,7 @@ def straight(speed: float, start: float = 0.0, count: int = 50):
 def walk(follower: Follower, seconds: float) -> np.ndarray:
     places = []
     for _ in range(round(seconds * 30)):
-        follower.advance(TICK, 3.0)
+        follower.advance(follower.time + TICK, 3.0)
         places.append(follower.position)
     return np.array(places)
 
@@ -61,7 +65,37 @@ def test_a_body_turns_the_short_way_no_faster_than_it_can(heading):
     turned = []
     for _ in range(30):
         before = follower.heading
-        follower.advance(TICK, 3.0)
+        follower.advance(follower.time + TICK, 3.0)
         turned.append(follower.heading - before)
     assert np.abs(turned).max() <= 3.0 * TICK + 1e-9
     assert np.sign(turned[0]) == np.sign(heading)
+
+
+def test_ticks_that_were_missed_are_caught_up(inbox_of):
+    ids = np.zeros(1, np.int32)
+    person = Bodies(
+        ids,
+        shapes=np.zeros((1, 10), np.float32),
+        masses=np.full(1, 70, np.float32),
+        statures=np.full(1, 1.7, np.float32),
+        radii=np.full(1, 0.25, np.float32),
+        offsets=np.zeros((1, 24, 3), np.float32),
+    )
+    joints = np.zeros((1, 24, 13), np.float32)
+    joints[..., 3] = 1.0
+    there = BODY_STATES(BodyStates(ids, joints))
+    places, headings = straight(1.2)
+    plan = Plans(
+        ids,
+        chosen=np.zeros(1, np.int32),
+        positions=places[None, None].astype(np.float32),
+        headings=headings[None, None].astype(np.float32),
+        speeds=np.full((1, 1, 50), 1.2, np.float32),
+        method="test",
+    )
+    place = SemanticMap("open", [], np.zeros((0, 1, 1), np.uint8), 1.0, (0.0, 0.0))
+    node = Controller(Config())
+    box = inbox_of(0.0, MAP(place), BODIES(person), there, PLANS(plan))
+    for tick in (0, 1, 2, 15, 16, 60, 61):  # a busy machine
+        [action] = node.step(inbox_of(tick * TICK, there, inbox=box) if tick else box)
+    assert action.message.roots[0, 0] == pytest.approx(1.2 * 62 * TICK, abs=0.05)
