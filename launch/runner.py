@@ -33,6 +33,7 @@ START_TIMEOUT = 60.0
 """Longest wait until every node is ready [s]."""
 BEAT = 0.05
 """Longest time between two looks at everything [s]."""
+_NOT_YET = "the graph is still starting; ask again when it runs"
 UNASKED = "ended though nobody asked it to"
 """The reason of a death without a word."""
 
@@ -214,6 +215,8 @@ class Runner:
             self._ended = self._ended or "stopped on request"
         elif request.node != "*" and request.node not in names:
             return Reply(f"no node {request.node!r}; {near(request.node, names)}")
+        elif not self._going:
+            return Reply(_NOT_YET)
         else:
             self.bus.publish(CONTROL, Control(request.node, request.name, request.value), self._sim_ns)
         return Reply()
@@ -221,6 +224,8 @@ class Runner:
     def _steer(self, line: Steer) -> Reply:
         if not any(STEERING.name == wire.topic for node in self.graph.nodes for wire in node.inputs.values()):
             return Reply(f"nobody in {self.graph.name} listens to {STEERING.name}")
+        if not self._going:  # the nodes may not have subscribed yet, and lockstep counts what it sends
+            return Reply(_NOT_YET)
         self.bus.publish(STEERING, Steering(line.command), self._sim_ns)
         return Reply()
 

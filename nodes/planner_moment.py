@@ -17,11 +17,10 @@ from ..messages.objectives import (
 )
 from ..models.crowd.orca_planner import Place
 from ..models.crowd.planning import PLAN_DT, Crowd
+from ..models.scene import ROAD_COST
 
 DEFAULT_SPEED = 1.34
 """Free walking speed where no objective names one [m/s] (Weidmann 1993)."""
-ROAD_COST = 4.0
-"""A metre of road counts as so many metres of pavement for somebody who looks for a way."""
 
 
 @dataclass(frozen=True)
