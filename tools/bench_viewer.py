@@ -78,7 +78,9 @@ class Run:
                 break
             except ConfigError:
                 if self._process.poll() is not None or monotonic() > deadline:
-                    raise ConfigError(f"the graph does not start: {self.said()}") from None
+                    said = self.said()
+                    self._log.close()
+                    raise ConfigError(f"the graph does not start: {said}") from None
                 sleep(0.2)
         self._bus = observer(self.graph, ["clock", "objectives", "plans", "diagnostics"])
         self.now = 0.0

@@ -1,5 +1,6 @@
 """One person's body: joint offsets, masses, inertias and contact solids of a ten-number shape vector.
 
+>>> from footfall.models.body import describe, shape_for
 >>> body = describe(shape_for(stature=1.8, mass=80.0))
 >>> round(body.stature, 3), round(float(body.masses.sum()), 3)
 (1.8, 80.0)

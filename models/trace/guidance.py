@@ -82,17 +82,25 @@ def total_loss(objectives: Sequence[Objective], future: Future) -> Tensor:
 
 
 def guide_direct(
-    clean: Tensor, future_of: FutureOf, objectives: Sequence[Objective], guidance: Guidance, variance: Tensor
+    clean: Tensor,
+    future_of: FutureOf,
+    objectives: Sequence[Objective],
+    guidance: Guidance,
+    variance: Tensor,
+    careful: bool = False,
 ) -> Tensor:
     """Clean actions (A, M, T, 2) after cyclic steps for one objective after the other, through the dynamics.
 
     With the Polyak scale these are projections: each step is the smallest change of the actions that meets
     the linearised wish. In turn they do better than all at once, as with any projections onto several sets.
-    A weight shortens (below 1) or lengthens the steps of an objective.
+    A weight shortens (below 1) or lengthens the steps of an objective. Where a loss cannot become zero, such a
+    step leaps once its gradient vanishes: denoising mends that, at its end only `careful` steps do, which are
+    taken by those alone whose loss falls; for others the next one is a quarter as long.
     """
+    pace = [torch.ones(()).expand(clean.shape[:2])] * len(objectives)
     for _ in range(guidance.inner_steps):
         before, actions, future = clean, clean, None
-        for wish in objectives:
+        for i, wish in enumerate(objectives):
             with torch.enable_grad():
                 if future is None:
                     actions = clean.detach().requires_grad_()
@@ -101,8 +109,14 @@ def guide_direct(
                 if not (loss > guidance.met).any():
                     continue  # nothing moved: the next objective looks at the same future
                 gradient = gradient_of(loss, actions)
-            clean = clean - wish.share[..., None, None] * guidance.step(loss.detach(), gradient, variance)
-            future = None
+            length = (wish.share * pace[i])[..., None, None]
+            moved = clean - length * guidance.step(loss.detach(), gradient, variance)
+            if careful:
+                with torch.no_grad():
+                    better = wish.loss(future_of(moved)) < loss
+                moved = torch.where(better[..., None, None], moved, clean)
+                pace[i] = torch.where(better, pace[i], pace[i] / 4)
+            clean, future = moved, None
         if clean is before:
             break
     return clean.detach()

@@ -259,9 +259,9 @@ class TracePlanner:
         steps, none = self.guidance.polish, torch.zeros(())
         all_in_turn = replace(self.guidance, inner_steps=steps)
         safety = replace(self.guidance, inner_steps=4 * steps, met=SAFE)
-        best = guide_direct(best, future_of, objectives, all_in_turn, none)
+        best = guide_direct(best, future_of, objectives, all_in_turn, none, careful=True)
         best = self._within_speeds(best, context.speed)
-        best = guide_direct(best, future_of, [wish for wish in objectives if wish.safety], safety, none)
+        best = guide_direct(best, future_of, [w for w in objectives if w.safety], safety, none, careful=True)
         return self._within_speeds(best, context.speed)
 
     def _within_speeds(self, actions: Tensor, speed: Tensor) -> Tensor:

@@ -6,6 +6,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -143,7 +144,10 @@ def test_a_graph_hears_another_one(launch: Callable, folder: Path) -> None:
     assert summary["topics"]["beat"]["received"]["echoer"] >= 55
     assert summary["topics"]["echo"]["sent"] >= 30
     rows = subprocess.run(
-        ["footfall", "topic", "list", "--log", str(log), "--json"], capture_output=True, text=True, check=True
+        [sys.executable, "-m", "footfall.tools.cli", "topic", "list", "--log", str(log), "--json"],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     found = {(row["topic"], row["publisher"]): row["messages"] for row in json.loads(rows.stdout)}
     assert found["beat", "robot"] >= 55

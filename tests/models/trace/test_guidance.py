@@ -57,6 +57,20 @@ def test_direct_guidance_reaches_the_waypoint_with_little_change():
     assert clean.square().mean().sqrt() < 1.0
 
 
+def test_careful_steps_do_not_leap_where_a_loss_cannot_become_zero():
+    goal = torch.tensor([[3.0, 0.0]])  # on the way already, and yet the soft minimum is 0.6 m
+    wish = [Objective("waypoint", {"goal": goal, "temperature": 1.0})]
+    actions = 0.2 * torch.randn(1, 8, 50, 2, generator=torch.Generator().manual_seed(0))
+    before = wish[0].loss(future_of(actions))
+    bold, careful = (
+        guide_direct(actions, future_of, wish, Guidance(inner_steps=6), torch.tensor(0.0), careful=c)
+        for c in (False, True)
+    )
+    assert (wish[0].loss(future_of(careful)) <= before).all()
+    assert (wish[0].loss(future_of(careful)) < before).any()
+    assert (wish[0].loss(future_of(bold)) > before + 0.1).any()
+
+
 def test_direct_guidance_parts_people():
     def side_by_side(actions):
         now = torch.tensor([[0.0, 0.0, 0.0, 1.2], [0.0, 0.5, 0.0, 1.2]])
