@@ -20,6 +20,7 @@ from . import eval_trace_closed_loop as closed_loop
 from . import eval_trace_paper as paper
 from .eval_trace_paper import Row
 from .eval_trace_pictures import draw_guides, draw_samples
+from .results import write_section
 
 QUICK_SCENES = 10
 UNGUIDED = Sampling(solver="dpm", steps=20, samples=3)
@@ -261,19 +262,6 @@ def markdown(table: str, rows: list[Row], source: str) -> str:
         "|---" * len(head) + "|",
     ]
     return "\n".join([*lines, *(markdown_row(table, row) for row in rows)])
-
-
-def write_section(path: Path, name: str, text: str) -> None:
-    """Replace the section between this name's markers, or append it."""
-    begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
-    before = path.read_text() if path.is_file() else "# Results\n"
-    section = f"{begin}\n{text}\n{end}"
-    if begin in before and end in before:
-        head, rest = before.split(begin, 1)
-        tail = rest.split(end, 1)[1]
-        path.write_text(head + section + tail)
-    else:
-        path.write_text(f"{before.rstrip()}\n\n{section}\n")
 
 
 def main() -> int:
