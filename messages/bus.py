@@ -17,6 +17,9 @@ M = TypeVar("M", bound=msgspec.Struct)
 LIFE_BITS = 32
 """A publisher that was restarted n times counts its messages from n << LIFE_BITS."""
 
+LEAP_LIVES, LEAP_MESSAGES = 1000, 1 << 24
+"""A sequence number this far ahead, in restarts or in messages, is believed when the next one follows it."""
+
 Bound = dict[str, int]
 """Last sequence number by `topic@publisher`: what belongs before a lockstep tick."""
 
@@ -77,6 +80,8 @@ class Inlet:
     """
     _newest: int = -1
     """Sequence number that really came last."""
+    _suspect: int = -1
+    """Sequence number that was too far ahead to be believed at once."""
     _noted: bytes = b""
     """Schema of the sender that was last reported as not quite ours."""
 
@@ -117,15 +122,22 @@ class Inlet:
         """Notice gaps; a restarted publisher begins anew.
 
         Raises:
-            MessageError: the message has come before.
+            MessageError: the message has come before, or its number is too far ahead to be believed yet.
         """
         newest, sequence = self._newest, header.sequence
         if sequence <= newest:
             raise MessageError(
                 self.edge.topic, "header.sequence", f"{sequence} came after {newest}; it is left aside"
             )
-        if sequence > newest + 1 and newest >= 0 and sequence >> LIFE_BITS == newest >> LIFE_BITS:
-            self.dropped += sequence - newest - 1
+        if sequence > newest + 1 and newest >= 0:
+            lives = (sequence >> LIFE_BITS) - (newest >> LIFE_BITS)
+            far = lives > LEAP_LIVES or (not lives and sequence - newest > LEAP_MESSAGES)
+            if far and sequence != self._suspect + 1:  # one broken number must not shut out all that follow
+                self._suspect = sequence
+                text = f"{sequence} came after {newest}; it is left aside unless the next one follows it"
+                raise MessageError(self.edge.topic, "header.sequence", text)
+            if not lives:
+                self.dropped += sequence - newest - 1
         self._newest = sequence
         if sequence > self.last_sequence:
             self.last_sequence = sequence

@@ -348,6 +348,20 @@ def test_repeated_and_misannounced_messages_are_rejected() -> None:
     ]
 
 
+@pytest.mark.parametrize("wrong", [5 + (1 << 30), 5 + (1 << 60)])
+def test_one_broken_sequence_number_costs_one_message(wrong: int) -> None:
+    codec = Codec("t", BodyStates)
+    inlet = Inlet(Edge("t", "a", "b", "t", Input("t", "queue", 10), False, False), codec, False)
+
+    def put(number: int) -> int:
+        inlet.put([bytes(codec.pack(BodyStates(IDS[:0], STATES[:0]), number, 0, 0)[0])])
+        return len(inlet.take(None))
+
+    assert [put(number) for number in (4, wrong, 5, 6)] == [1, 0, 1, 1]
+    assert inlet.rejected == 1 and inlet.dropped == 0
+    assert [put(number) for number in (wrong, wrong + 1, wrong + 2)] == [0, 1, 1]  # it is so after all
+
+
 @pytest.mark.parametrize("where", ["inside", "in a frame"])
 def test_the_word_of_a_sender_is_taken_only_where_it_is_trusted(where: str) -> None:
     count = 3 if where == "inside" else 100
