@@ -8,7 +8,6 @@ there is one) and `state.safetensors` (all that resuming needs).
 """
 
 import argparse
-import csv
 import signal
 import sys
 import time
@@ -25,6 +24,7 @@ from ..models.pacer.walker_observation import WAYPOINTS
 from ..models.pacer.walker_training import WalkerTraining
 from ..models.pacer.walker_weights import grown
 from ..models.trace.weights import load_tensors, save_tensors
+from .curve_file import append_row
 from .pacer_pictures import draw_curves
 
 _DEMO_BODIES = 4  # of those who walk, on whom motion capture is shown to the discriminator
@@ -166,7 +166,7 @@ class TrainingRun:
     def _log(self, window: list[dict[str, float]], speed: float) -> None:
         means = {name: sum(w[name] for w in window) / len(window) for name in window[0]}
         row = {"samples": self.training.samples, "minutes": self.minutes, "samples_per_s": speed} | means
-        self._append("curve.csv", row)
+        append_row(self.folder / "curve.csv", row)
         print(
             f"{self.training.samples / 1e6:7.2f} M  {speed:5.0f}/s  reward {means['reward']:.3f}  failing "
             f"{means['failing']:.2f} ({means['failures_per_s']:.2f}/s)  path {means['path_error']:.3f} m  "
@@ -176,17 +176,3 @@ class TrainingRun:
         )
         if means["explained"] < -1.0 or means["kl"] > 1.0:
             print("warning: the critic or the policy diverges", file=sys.stderr, flush=True)
-
-    def _append(self, name: str, row: dict[str, float]) -> None:
-        """Append a row; a file that is there keeps its columns."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / name
-        columns = list(row)
-        if path.is_file():
-            with path.open(newline="") as file:
-                columns = next(csv.reader(file))
-        else:
-            with path.open("w", newline="") as file:
-                csv.writer(file).writerow(columns)
-        with path.open("a", newline="") as file:
-            csv.writer(file).writerow([f"{row[c]:.6g}" if c in row else "" for c in columns])

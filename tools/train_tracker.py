@@ -8,7 +8,6 @@ Run it again with the same `--out` to go on where it stopped. The folder holds `
 """
 
 import argparse
-import csv
 import signal
 import sys
 import time
@@ -23,6 +22,7 @@ from ..models.pacer.tracker_env import TrackerEnv
 from ..models.pacer.tracker_evaluation import evaluate
 from ..models.pacer.tracker_training import TrackerTraining
 from ..models.trace.weights import load_tensors, save_tensors
+from .curve_file import append_row
 
 
 class TrainingError(ValueError):
@@ -148,13 +148,16 @@ class TrainingRun:
     def evaluate(self) -> None:
         """Track all recorded clips and write what came of it."""
         figures = evaluate(self.training.model, self.judged, self.config).summary()
-        self._append("evaluation.csv", {"samples": self.training.samples, "minutes": self.minutes} | figures)
+        append_row(
+            self.folder / "evaluation.csv",
+            {"samples": self.training.samples, "minutes": self.minutes} | figures,
+        )
         print("  ".join(f"{name} {value:.3g}" for name, value in figures.items()), flush=True)
 
     def _log(self, window: list[dict[str, float]], speed: float) -> None:
         means = {name: sum(w[name] for w in window) / len(window) for name in window[0]}
         row = {"samples": self.training.samples, "minutes": self.minutes, "samples_per_s": speed} | means
-        self._append("curve.csv", row)
+        append_row(self.folder / "curve.csv", row)
         print(
             f"{self.training.samples / 1e6:7.2f} M  {speed:5.0f}/s  reward {means['reward']:.3f}  failing "
             f"{means['failing']:.2f} ({means['failures_per_s']:.2f}/s)  clips {means['active_clips']:.0f}  "
@@ -163,17 +166,3 @@ class TrainingRun:
         )
         if means["explained"] < -1.0 or means["kl"] > 1.0:
             print("warning: the critic or the policy diverges", file=sys.stderr, flush=True)
-
-    def _append(self, name: str, row: dict[str, float]) -> None:
-        """Append a row; a file that is there keeps its columns."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / name
-        columns = list(row)
-        if path.is_file():
-            with path.open(newline="") as file:
-                columns = next(csv.reader(file))
-        else:
-            with path.open("w", newline="") as file:
-                csv.writer(file).writerow(columns)
-        with path.open("a", newline="") as file:
-            csv.writer(file).writerow([f"{row[c]:.6g}" if c in row else "" for c in columns])

@@ -17,6 +17,7 @@ from .paths import PathSettings
 from .policy import ActorCritic
 from .style import Discriminator
 from .walker_config import StyleConfig, WalkerConfig, WalkerRewards
+from .weights import load_policy
 
 
 def walker_config_from_dict(values: dict[str, Any]) -> WalkerConfig:
@@ -57,14 +58,7 @@ def load_walker(path: Path) -> tuple[ActorCritic, WalkerConfig, dict[str, Any]]:
     Raises:
         WeightsError: the file is missing, broken, or does not fit its own settings.
     """
-    tensors, facts = load_tensors(path)
-    try:
-        config = walker_config_from_dict(facts["config"])
-        model = ActorCritic(facts["observations"], facts["actions"], config.hidden, config.noise)
-        model.load_state_dict(tensors)
-    except (KeyError, RuntimeError) as error:
-        raise WeightsError(f"{path} holds no walker: {error}") from error
-    return model.eval(), config, facts
+    return load_policy(path, "walker", walker_config_from_dict)
 
 
 def load_discriminator(path: Path) -> Discriminator:

@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from ..trace.weights import WeightsError, load_tensors
 from .batch_world import Physics
 from .config import RewardTerms, TrackerConfig
 from .policy import ActorCritic
+
+
+class PolicyConfig(Protocol):
+    """What settings say of a policy's networks."""
+
+    @property
+    def hidden(self) -> tuple[int, ...]:
+        """Widths of the hidden layers."""
+        ...
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of actions."""
+        ...
+
+
+C = TypeVar("C", bound=PolicyConfig)
 
 
 def config_from_dict(values: dict[str, Any]) -> TrackerConfig:
@@ -33,11 +51,27 @@ def load_tracker(path: Path) -> tuple[ActorCritic, TrackerConfig, dict[str, Any]
     Raises:
         WeightsError: the file is missing, broken, or does not fit its own settings.
     """
+    return load_policy(path, "tracker", config_from_dict)
+
+
+def load_policy(
+    path: Path, what: str, read: Callable[[dict[str, Any]], C]
+) -> tuple[ActorCritic, C, dict[str, Any]]:
+    """Read an actor and its critic, their settings, and what else is known of them.
+
+    Args:
+        path: safetensors file.
+        what: it ought to hold, for errors.
+        read: makes settings of the file's.
+
+    Raises:
+        WeightsError: the file is missing, broken, or does not fit its own settings.
+    """
     tensors, facts = load_tensors(path)
     try:
-        config = config_from_dict(facts["config"])
+        config = read(facts["config"])
         model = ActorCritic(facts["observations"], facts["actions"], config.hidden, config.noise)
         model.load_state_dict(tensors)
     except (KeyError, RuntimeError) as error:
-        raise WeightsError(f"{path} holds no tracker: {error}") from error
+        raise WeightsError(f"{path} holds no {what}: {error}") from error
     return model.eval(), config, facts
