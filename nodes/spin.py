@@ -17,6 +17,9 @@ from .process import Process, run_process
 
 log = logging.getLogger(__name__)
 
+REJOIN_GRACE = 0.5
+"""How long a restarted node waits in lockstep for the first message of a source [s]."""
+
 
 def spin(node_type: type[Node]) -> int:
     """Run a node as this process until the graph ends; returns the exit code."""
@@ -77,23 +80,27 @@ class _Spinner:
         """Lockstep: one round a tick, on exactly what was sent before it."""
         bus = self.process.bus
         clock = next(inlet for inlet in bus.inlets if inlet.edge.port == CLOCK.name)
-        first = go.restarted
+        grace = 0.0 if go.restarted else REJOIN_GRACE  # what went by before the restart is gone
         while True:
             if not self.process.wait(lambda: bool(clock.pending)):
                 continue
             for tick in clock.take(None):
                 bound: Bound = tick.message.sent
-                if first:  # what went by before the restart will not come again
-                    for inlet in bus.inlets:
-                        if inlet.edge.in_step:
-                            inlet.last_sequence = max(inlet.last_sequence, bound.get(inlet.source, -1))
-                    first = False
-                while not self.process.wait(lambda bound=bound: arrived(bus, bound)):
-                    pass
+                begin = monotonic()
+                while not self.process.wait(lambda bound=bound: arrived(bus, bound), min(grace, 0.05)):
+                    if go.restarted and monotonic() - begin >= grace:
+                        self._skip_unheard(bound)
+                grace = REJOIN_GRACE
                 self.work([tick, *take(bus, bound)], tick.stamp_ns)
                 self.process.bus.publish(
                     DONE, Done(tick.message.step, self.process.name, self.process.sent), tick.stamp_ns
                 )
+
+    def _skip_unheard(self, bound: Bound) -> None:
+        """What went by while this node was away, or not yet known to its publisher, will not come again."""
+        for inlet in self.process.bus.inlets:
+            if inlet.edge.in_step and not inlet.received:
+                inlet.last_sequence = max(inlet.last_sequence, bound.get(inlet.source, -1))
 
     def work(self, messages: list[Received[Any]], now_ns: int, run: bool = True) -> None:
         """Deliver messages; take a step if one is due, and send what it gives."""
