@@ -32,7 +32,8 @@ from ..messages.topics import (
     Outgoing,
 )
 from ..models.body import Body, describe
-from ..models.body.skeleton import JOINT_INDEX, N_JOINTS
+from ..models.body.rotations import yaw
+from ..models.pacer.gait_reference import GaitReference
 from ..models.scene import Terrain
 from ..models.scene.file import Obstacle
 from ..models.world import World, WorldError
@@ -52,12 +53,12 @@ class Config(NodeConfig, frozen=True):
 
     mode: Literal["kinematic", "physics"] = "kinematic"
     """Whether bodies take the commanded pose, or are driven to it by PD torques."""
-    actuation: Literal["full", "lite"] = "full"
+    actuation: Literal["full", "lite"] = "lite"
     """All 69 joints, or the 28 that walking needs (physics only)."""
     physics_rate_hz: int = 120
     """Physics steps per second; a multiple of 30."""
-    on_fall: Literal["report", "respawn", "remove"] = "report"
-    """What happens to who has fallen."""
+    on_fall: Literal["report", "stand", "respawn", "remove"] = "report"
+    """What happens to who has fallen: nothing, back on the feet there or at the entrance, out of the scene."""
 
 
 class Simulator(Node[Config]):
@@ -91,7 +92,7 @@ class Simulator(Node[Config]):
             self._bodies = [describe(shape) for shape in self._population.shapes.astype(np.float64)]
             count = len(self._bodies)
             self._history = np.zeros((count, HISTORY_STEPS, 7), np.float32)
-            self._homes = np.zeros((count, 7))
+            self._homes = np.zeros((count, 3))
             outgoing.append(BODIES(describe_bodies(self._population, self._bodies)))
         if inbox.new(MAP) or self._world is None:
             self._world = self._build(inbox.require(MAP))
@@ -136,25 +137,20 @@ class Simulator(Node[Config]):
         return world
 
     def _enter(self, world: World, enter: Enter) -> None:
-        agent, body = enter.id, self._bodies[enter.id]
-        if world.present[agent]:
-            return
-        xy = np.array(enter.position)
-        root = np.array(
-            [
-                *xy,
-                world.height_at(xy) + body.pelvis_height,
-                np.cos(enter.heading / 2),
-                0,
-                0,
-                np.sin(enter.heading / 2),
-            ]
+        if not world.present[enter.id]:
+            self._put(world, enter.id, np.array(enter.position), enter.heading, enter.speed)
+            self._homes[enter.id] = *enter.position, enter.heading
+            self._history[enter.id] = 0.0
+
+    def _put(self, world: World, agent: int, place: np.ndarray, heading: float, speed: float) -> None:
+        """Put somebody there: at rest, or in mid-stride where physics must be able to go on from it."""
+        one = np.zeros(1, dtype=np.intp)
+        gait = GaitReference([self._bodies[agent]], 1 / TICK_RATE_HZ, world.height_at)
+        foot = np.array([0.5 * (agent % 2)])  # who starts with the left, who with the right one
+        root, joints, twist, rates = gait.place(
+            one, place[None], np.array([heading]), np.array([speed]), foot
         )
-        velocity = np.zeros(6)
-        velocity[:2] = enter.speed * np.array([np.cos(enter.heading), np.sin(enter.heading)])
-        world.enter(agent, root, ARMS_DOWN, velocity)
-        self._homes[agent] = root
-        self._history[agent] = 0.0
+        world.enter(agent, root[0], joints[0], twist[0], rates[0])
 
     def _leave(self, world: World, agent: int) -> None:
         if world.present[agent]:
@@ -173,6 +169,11 @@ class Simulator(Node[Config]):
             world.set_pose(
                 ids, actions.roots[here].astype(np.float64), actions.joint_targets[here].astype(np.float64)
             )
+        elif len(ids):
+            raise ConfigError(
+                "simulator: config: mode: 'kinematic' needs a controller that says where bodies are; "
+                "this one drives joints, which takes mode: physics"
+            )
 
     def _push(self, world: World, push: Push) -> None:
         ticks = max(1, round(push.duration * TICK_RATE_HZ))
@@ -186,8 +187,7 @@ class Simulator(Node[Config]):
         assert self._population is not None
         self._history[:, :-1] = self._history[:, 1:]
         self._history[:, -1] = 0.0
-        w, x, y, z = joints[:, 0, 3:7].astype(np.float64).T
-        heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        heading = yaw(joints[:, 0, 3:7])
         before, here = self._history[present, -2], joints[:, 0, :2]
         moved = np.linalg.norm(here - before[:, :2], axis=1) * 10.0
         speed = np.where(before[:, 6] > 0, moved, np.linalg.norm(joints[:, 0, 7:9], axis=1))
@@ -230,23 +230,17 @@ class Simulator(Node[Config]):
         self._down = down
         if not new:
             return
-        positions = world.joint_states(new)[:, 0, :3]
-        for agent in new if self.config.on_fall != "report" else ():
+        states = world.joint_states(new)[:, 0]
+        positions = states[:, :3]
+        handling = self.config.on_fall
+        for agent, state in zip(new if handling != "report" else (), states.astype(np.float64), strict=False):
             world.leave(agent)
             self._down.discard(agent)
-            if self.config.on_fall == "respawn":
-                world.enter(agent, self._homes[agent], ARMS_DOWN)
+            if handling == "respawn":
+                self._put(world, agent, self._homes[agent, :2], self._homes[agent, 2], 0.0)
+            elif handling == "stand":
+                self._put(world, agent, state[:2], float(yaw(state[3:7])), 0.0)
         yield FALLS(Falls(np.array(new, np.int32), positions, self.config.on_fall))
-
-
-def _arms_down() -> np.ndarray:
-    joints = np.zeros(N_JOINTS)
-    joints[JOINT_INDEX["L_Shoulder_x"]], joints[JOINT_INDEX["R_Shoulder_x"]] = -1.4, 1.4
-    return joints
-
-
-ARMS_DOWN = _arms_down()
-"""Standing pose in which people enter (69,) [rad]."""
 
 
 def describe_bodies(population: Population, bodies: list[Body]) -> Bodies:

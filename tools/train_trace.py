@@ -10,7 +10,6 @@ without a seam.
 
 import argparse
 import csv
-import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -19,9 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-import torch.distributed as dist
 from torch import nn
 
+from ..models import ranks
 from ..models.trace.config import CONFIGS, TraceConfig
 from ..models.trace.crowd_file import Crowds
 from ..models.trace.diffusion import CosineSchedule
@@ -37,6 +36,7 @@ from ..models.trace.vae import TraceVae, VaeStep, vae_loss
 from ..models.trace.weights import WeightsError, load_tensors, save_model, save_tensors
 from ..models.trace.windows import CrowdWindows
 from .train_curve import draw_curve
+from .train_process import training_process
 
 MODELS = {"trace": (Trace, DenoisingStep, denoising_loss), "vae": (TraceVae, VaeStep, vae_loss)}
 """By name: the network, what data-parallel training wraps, and the loss."""
@@ -273,30 +273,15 @@ class TrainingRun:
 
 def run(args: argparse.Namespace) -> int:
     """Train until `--steps` or Ctrl-C; both leave a checkpoint."""
-    try:
-        if args.steps < 1 or args.batch < 1 or not args.rate > 0:
-            raise ValueError("--steps and --batch must be at least 1 and --rate above 0")
-        rank, world = 0, 1
-        if dist.is_torchelastic_launched():
-            dist.init_process_group("gloo")
-            rank, world = dist.get_rank(), dist.get_world_size()
-        if args.threads:
-            torch.set_num_threads(args.threads)
-        training = TrainingRun(args, rank, world)
-    except ValueError as error:
-        print(error, file=sys.stderr)
-        return 2
-    stop = []
-    previous = {
-        s: signal.signal(s, lambda number, _: stop.append(number)) for s in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
+    with training_process(args.threads) as stop:
+        try:
+            if args.steps < 1 or args.batch < 1 or not args.rate > 0:
+                raise ValueError("--steps and --batch must be at least 1 and --rate above 0")
+            training = TrainingRun(args, ranks.number(), ranks.count())
+        except ValueError as error:
+            print(error, file=sys.stderr)
+            return 2
         train(training, stop)
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-        if world > 1:
-            dist.destroy_process_group()
     return 0
 
 
@@ -306,7 +291,7 @@ def train(training: TrainingRun, stop: list[int]) -> None:
     begun = saved = time.monotonic()
     before = progress.minutes
     training.trace.train()
-    while progress.step < args.steps and not agreed(bool(stop), training.world):
+    while progress.step < args.steps and not ranks.agreed(bool(stop)):
         training.losses.append(training.step())
         progress.minutes = before + (time.monotonic() - begun) / 60
         if progress.step % args.check_every == 0 or progress.step == args.steps:
@@ -321,15 +306,6 @@ def train(training: TrainingRun, stop: list[int]) -> None:
         print(
             f"stopped at step {progress.step}; weights in {training.folder / 'model.safetensors'}", flush=True
         )
-
-
-def agreed(stop: bool, world: int) -> bool:
-    """Whether any process was asked to stop: all must leave the loop at the same step."""
-    if world == 1:
-        return stop
-    vote = torch.tensor(float(stop))
-    dist.all_reduce(vote)
-    return bool(vote > 0)
 
 
 def main() -> int:

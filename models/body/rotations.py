@@ -34,3 +34,9 @@ def rotation_vector(after: ArrayLike, before: ArrayLike) -> NDArray[np.float64]:
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)
     half = np.arctan2(sine, abs(w)[..., None])
     return axis * np.where(sine > 1e-12, 2 * half / np.maximum(sine, 1e-12), 2.0)
+
+
+def yaw(quaternions: ArrayLike) -> NDArray[np.float64]:
+    """Turn (...,) about the vertical, rad, of rotations (..., 4), wxyz: the direction their x axes point in."""
+    w, x, y, z = np.moveaxis(np.asarray(quaternions, dtype=float), -1, 0)
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

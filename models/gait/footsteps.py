@@ -23,6 +23,7 @@ _SETTLE_DISTANCE, _SETTLE_TURN = 0.03, 0.12  # and the error below which steppin
 _WALK_SPEED = 0.06  # m/s: slower counts as standing
 _FEET_APART = 0.10  # m: least lateral distance of a foothold from the other foot
 _LIFT = 0.04  # share of a swing at its ends in which the foot goes only up or down
+_HARDEST_BEND = 2.5  # m/s^2: bends beyond are not leaned into any further
 _RISE_PER_STEP = 0.19  # m: a tall tread
 _PATH = np.array([0.2, 0.35, 0.5, 0.65, 0.8])  # shares of a swing at which it must clear the ground
 
@@ -190,6 +191,10 @@ def _aim(s: State, heading: Array, psi: Array, duration: Array, support: Array, 
     distance = distance * np.sinc(0.5 * turn / np.pi)
     root = s["position"][:, None] + distance[..., None] * np.stack([np.cos(course), np.sin(course)], -1)
     goal = _goals(s, root, heading[:, None] + turn)
+    # Feet carry a leaning body where its weight and its turning push: at the zero moment point.
+    aside = (s["pelvis_height"] / norms.GRAVITY * centripetal(s))[:, None]
+    goal[..., 0] += np.sin(heading[:, None] + turn) * aside
+    goal[..., 1] -= np.cos(heading[:, None] + turn) * aside
 
     # Never step onto or across the other foot.
     yaw = heading[:, None] + turn
@@ -207,6 +212,11 @@ def _aim(s: State, heading: Array, psi: Array, duration: Array, support: Array, 
     strike = norms.HEEL_STRIKE_PITCH * s["vigour"][:, None] * (1.0 - 0.7 * norms.running(s["speed"]))[:, None]
     landing = strike * level + 0.2 * smoothstep((-rise - 0.06) / 0.1)  # downstairs the ball lands first
     s["landing"][air] = landing[air]
+
+
+def centripetal(s: State) -> Array:
+    """Acceleration (n,), m/s^2, to the left that keeps walkers on the present bend."""
+    return np.clip(s["speed"] * s["turn_rate"], -_HARDEST_BEND, _HARDEST_BEND)
 
 
 def _swing(s: State, swinging: NDArray[np.bool_], height_at: HeightAt) -> None:

@@ -169,7 +169,8 @@ class Gait:
     def _pose(self, heading: Array, dt: float) -> tuple[Array, Array]:
         s = self.state
         turn, sway, height = pose.pelvis_motion(s)
-        quaternion = _quaternion(heading + turn[:, 2], turn[:, 0], turn[:, 1])
+        lean = pose.lean(s)
+        quaternion = _quaternion(heading + turn[:, 2], turn[:, 0] + lean[:, 0], turn[:, 1] + lean[:, 1])
         rotation = matrix_from_quaternion(quaternion)
         pelvis = np.empty((len(s), 3))
         pelvis[:, 0] = s["position"][:, 0] - sway * np.sin(heading)
@@ -187,7 +188,7 @@ class Gait:
         for side, first in enumerate(_FIRST_LEG_JOINT):
             joints[:, first : first + 3] = legs_angles[:, side]
             joints[:, first + 3, 1] = toes[:, side]
-        pose.upper_body(s, turn, joints)
+        pose.upper_body(s, turn, lean, joints)
         root = np.concatenate([pelvis, quaternion], axis=-1)
         return root, np.clip(joints.reshape(len(s), 69), JOINT_LIMITS[:, 0], JOINT_LIMITS[:, 1])
 

@@ -21,6 +21,9 @@ RUN_ONSET = (2.1, 2.7)
 """Speeds between which walking turns into a jog, m/s (transition about 2.1: Hreljac 1993)."""
 MAX_STRIDE_DURATION = 1.9
 """Slower than this people shorten their step rather than step less often, s."""
+GRAVITY = 9.81
+"""m/s^2."""
+
 CROSSING = 0.40
 """Share of the stance at which the hip passes over the ankle."""
 TOE_OUT = np.radians(6.0)

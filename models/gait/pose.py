@@ -21,6 +21,7 @@ _MAX_ROLL = np.radians(75.0)  # of a standing foot on its toes
 _TOE_BEND = np.radians(50.0)
 _ANKLE_RANGE = JOINT_LIMITS[JOINT_INDEX["L_Ankle_y"]] + np.radians([1.0, -1.0])
 _RISE_RATE = 0.5  # m/s: fastest recovery of the pelvis from a long step
+_HARDEST_LEAN = 2.5  # m/s^2: accelerations beyond are not leaned into any further
 _SOFT = 0.006  # m: rounding of the pelvis' path where a leg's reach begins to bind
 
 
@@ -45,6 +46,16 @@ def pelvis_motion(s: State) -> tuple[Array, Array, Array]:
     wave = np.cos(2.0 * (cycle - 2.0 * np.pi * norms.CROSSING * support))
     height = stand - 0.012 * vigour - 0.055 * run + 0.5 * rise * (wave - 1.0)
     return turn, sway, height
+
+
+def lean(s: State) -> Array:
+    """Roll and pitch (n, 2), rad, that bring the body's weight in line with its acceleration.
+
+    Who turns left leans to the left, who speeds up leans ahead; feet are put down accordingly.
+    """
+    sideways = footsteps.centripetal(s)
+    ahead = np.clip(s["acceleration"], -_HARDEST_LEAN, _HARDEST_LEAN)
+    return np.stack([-np.arctan(sideways / norms.GRAVITY), 0.5 * np.arctan(ahead / norms.GRAVITY)], -1)
 
 
 def sole_rotation(place: Array) -> Array:
@@ -196,8 +207,8 @@ def _lower(pelvis: Array, hip: Array, ankle: Array, length: Array) -> None:
         pelvis[:, 2] -= 0.5 * (gap + np.sqrt(gap * gap + _SOFT * _SOFT))
 
 
-def upper_body(s: State, turn: Array, joints: Array) -> None:
-    """Set trunk, head and arms in joints (n, 23, 3), given the pelvis' turn (n, 3)."""
+def upper_body(s: State, turn: Array, lean: Array, joints: Array) -> None:
+    """Set trunk, head and arms in joints (n, 23, 3), given the pelvis' turn (n, 3) and the lean (n, 2)."""
     vigour, run = s["vigour"], norms.running(s["speed"])
     idle = 1.0 - np.minimum(vigour, 1.0)
 
@@ -209,7 +220,8 @@ def upper_body(s: State, turn: Array, joints: Array) -> None:
     gaze = np.clip(0.25 * s["turn_rate"], -0.5, 0.5) + 0.6 * turn[:, 2]
     for body in ("Neck", "Head"):
         joints[:, BODY_INDEX[body] - 1, 2] = 0.5 * gaze
-        joints[:, BODY_INDEX[body] - 1, 1] = -0.35 * turn[:, 1] - 0.3 * breath
+        joints[:, BODY_INDEX[body] - 1, 1] = -0.35 * (turn[:, 1] + lean[:, 1]) - 0.3 * breath
+        joints[:, BODY_INDEX[body] - 1, 0] = -0.35 * lean[:, 0]
 
     # Each arm swings with the other side's leg: left forward at the right heel strike.
     wave = -np.cos(2.0 * np.pi * s["phase"] - 0.2)[:, None] * _SIDES

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from .batch_world import Physics
+from .learning_config import PAPER_LEARNING, LearningConfig
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class RewardTerms:
 
 
 @dataclass(frozen=True)
-class TrackerConfig:
+class TrackerConfig(LearningConfig):
     """Environment, network and learning of the tracker."""
 
     worlds: int = 512
@@ -49,28 +50,14 @@ class TrackerConfig:
     """Control steps after which an episode is cut and the next begun elsewhere."""
     masked: float = 0.0
     """Share of episodes in which only part of the body is told (PACER+, sec 3.2)."""
-    hidden: tuple[int, ...] = (512, 256)
     noise: float = 0.18
-    """Standard deviation of actions while training."""
-    horizon: int = 16
-    """Steps of each world per update."""
     epochs: int = 3
     minibatch: int = 2048
-    discount: float = 0.97
-    trace_decay: float = 0.95
-    """Lambda of generalised advantage estimation (Schulman et al. 2016)."""
-    clip: float = 0.2
-    bfloat16: bool = True
-    """Whether learning multiplies matrices in bfloat16."""
     target_kl: float = 0.015
-    """Divergence per update that the learning rate is held to."""
-    rate: float = 3e-4
-    rate_bounds: tuple[float, float] = (2e-5, 1e-3)
     narrow_start: int = 8
     """Clips to begin with: those nearest to a straight walk at 1.25 m/s."""
     widen_below: float = 0.2
     """Share of failing episodes below which more clips join."""
-    seed: int = 0
 
 
 CONFIGS: dict[str, TrackerConfig] = {
@@ -78,15 +65,7 @@ CONFIGS: dict[str, TrackerConfig] = {
     "paper": TrackerConfig(
         worlds=2048,
         physics=Physics(actuation="full"),
-        hidden=(2048, 1024),
-        noise=0.055,
-        horizon=32,
-        epochs=6,
-        minibatch=16384,
-        discount=0.99,
-        bfloat16=False,
-        rate=2e-5,
-        rate_bounds=(2e-5, 2e-5),
+        **PAPER_LEARNING,
     ),
 }
 """``paper``: PACER's body, networks and PPO settings (app. B; its public configuration)."""

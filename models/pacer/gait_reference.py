@@ -58,6 +58,10 @@ class GaitReference:
         self.rates: Array = np.zeros((count, 69))
         """(N, 69) rad/s on the way there."""
 
+    def ground(self, height_at: HeightAt) -> None:
+        """Walk on other ground from here on."""
+        self._gait.height_at = height_at
+
     def keep(self, rows: NDArray[np.intp]) -> None:
         """Keep people (n,), in that order, and forget the others."""
         follower = self.follower

@@ -18,13 +18,13 @@ class FollowerLimits:
     """s: the follower aims at where the path is by then."""
     response: float = 0.2
     """s in which it takes on the velocity it wants."""
-    acceleration: float = 3.0
+    acceleration: float = 2.5
     """m/s^2."""
     turn_rate: float = 3.0
     """rad/s."""
     turn_response: float = 0.2
     """s in which it faces where it wants to go."""
-    fastest: float = 3.0
+    fastest: float = 2.4
     """m/s."""
     sideways: float = 0.4
     """m/s: fastest side and back step."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from .. import ranks
 from .policy import ActorCritic, log_prob
 
 _CRITIC_RATE = 5e-4
@@ -64,6 +65,8 @@ class Rollout:
 class PPO:
     """Updates an actor and a critic, each with its own optimiser and gradient clip.
 
+    Gradients and divergences are means over the processes that train together.
+
     Args:
         model: what learns.
         rate: first learning rate of the actor.
@@ -95,8 +98,10 @@ class PPO:
         self.epochs = epochs
         self.minibatch = minibatch
         self.bfloat16 = bfloat16
-        self.actor_optimizer = torch.optim.Adam(model.actor.parameters(), rate, eps=1e-5)
-        self.critic_optimizer = torch.optim.Adam(model.critic.parameters(), _CRITIC_RATE, eps=1e-5)
+        self.actor_optimizer = torch.optim.Adam(model.actor.parameters(), rate, eps=1e-5, fused=True)
+        self.critic_optimizer = torch.optim.Adam(
+            model.critic.parameters(), _CRITIC_RATE, eps=1e-5, fused=True
+        )
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         """Learn from a rollout; returns the divergence, losses and explained variance."""
@@ -135,7 +140,7 @@ class PPO:
                     gap = (mean - means[rows]) / log_std.exp()
                     divergences.append(0.5 * gap.square().sum(-1).mean().item())
                 losses.append((actor_loss.item(), value_loss.item()))
-            divergence = sum(divergences) / len(divergences)
+            divergence = ranks.mean(sum(divergences) / len(divergences))
             if divergence > 2 * self.target_kl:
                 break
         self._hold(divergence)
@@ -162,5 +167,6 @@ class PPO:
 def _descend(optimizer: torch.optim.Optimizer, loss: Tensor, model: nn.Module, norm: float) -> None:
     optimizer.zero_grad()
     loss.backward()
+    ranks.average(p.grad for p in model.parameters() if p.grad is not None)
     nn.utils.clip_grad_norm_(model.parameters(), norm)
     optimizer.step()

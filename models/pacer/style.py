@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
+from .. import ranks
 from ..motion.library import MotionLibrary
 from .mathops import heading, to_heading, two_axes
 from .policy import Normalizer, mlp
@@ -203,10 +204,11 @@ class StyleLearner:
             old = self._memory if len(self._memory) else windows
             old = old[rng.integers(len(old), size=config.batch)]
             fake = torch.from_numpy(np.concatenate([new, old]))
-            normalizer.observe(torch.cat([demo, fake]))
+            normalizer.observe(ranks.gathered(torch.cat([demo, fake])))
             loss, seen = self.discriminator.loss(demo, fake)
             self.optimizer.zero_grad()
             loss.backward()
+            ranks.average(p.grad for p in self.discriminator.network.parameters() if p.grad is not None)
             self.optimizer.step()
             figures.append(seen)
         self._remember(windows)

@@ -37,7 +37,7 @@ class Step:
     cut_observations: Floats
     """(number of cut worlds, size): what was seen at the end of those."""
     terms: dict[str, float]
-    """Mean of each reward term, between 0 and 1."""
+    """``term_NAME``: mean of each reward term, between 0 and 1."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,10 @@ class TrackerEnv:
         self.world = BatchWorld(library.bodies, worlds or config.worlds, config.physics)
         self.sampler = ClipSampler(library, config.narrow_start, config.widen_below)
         self.observation = TrackerObservation(self.world, library, config.lookahead)
+        self.size = self.observation.size
+        """How many numbers an observation has."""
         self.n_actions = len(self.world.hinges)
+        self.period = config.physics.control_period
         self._rng = np.random.default_rng(seed)
         count = len(self.world)
         self.clips = np.zeros(count, dtype=np.intp)
@@ -87,6 +90,9 @@ class TrackerEnv:
         self._rates = np.ascontiguousarray(library.joint_velocities[:, :, self.world.hinges])
         self._targets = self._joints + config.lead * self._rates
         self._idle = np.median(self._joints, axis=1)  # (K, H)
+
+    def __len__(self) -> int:
+        return len(self.world)
 
     @property
     def reference(self) -> Reference:
@@ -154,7 +160,8 @@ class TrackerEnv:
             self._begin(ended)
             observations[ended] = self.observation.build(ended, self.reference.take(ended))
         rewards = np.nan_to_num(rewards).astype(np.float32)
-        return Step(observations, rewards, failed, cut, cut_observations, terms)
+        named = {f"term_{name}": value for name, value in terms.items()}
+        return Step(observations, rewards, failed, cut, cut_observations, named)
 
     def errors(self) -> TrackingError:
         """Distances of all joints from the reference."""

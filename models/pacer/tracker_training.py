@@ -1,8 +1,7 @@
-"""One update of the tracker: act in all worlds for a while, then learn from it."""
+"""Training of the motion tracker: what it adds to any policy's."""
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -10,13 +9,12 @@ import torch
 from torch import Tensor
 
 from .config import TrackerConfig
-from .policy import ActorCritic
-from .ppo import PPO, Rollout, advantages
+from .policy_training import PolicyTraining
 from .tracker_env import TrackerEnv
 
 
-class TrackerTraining:
-    """Environment, networks and optimisers of one run.
+class TrackerTraining(PolicyTraining):
+    """A run of the tracker; the sampler of clips goes on where it was.
 
     Args:
         env: the worlds.
@@ -24,123 +22,22 @@ class TrackerTraining:
     """
 
     def __init__(self, env: TrackerEnv, config: TrackerConfig):
-        torch.manual_seed(config.seed)
+        super().__init__(env, config)
         self.env = env
-        self.config = config
-        self.model = ActorCritic(env.observation.size, env.n_actions, config.hidden, config.noise)
-        self.ppo = PPO(
-            self.model,
-            rate=config.rate,
-            rate_bounds=config.rate_bounds,
-            target_kl=config.target_kl,
-            clip=config.clip,
-            epochs=config.epochs,
-            minibatch=config.minibatch,
-            bfloat16=config.bfloat16,
-        )
-        self.updates = 0
-        self.samples = 0
-        self._observations = env.reset()
-        self.model.normalizer.observe(torch.from_numpy(self._observations))
 
-    def update(self) -> dict[str, float]:
-        """Collect ``horizon`` steps of all worlds and learn from them; returns figures for the curve."""
-        begun = time.perf_counter()
-        rollout, figures = self._collect()
-        learning = time.perf_counter()
-        figures |= self.ppo.update(rollout)
-        now = time.perf_counter()
-        figures["learning_share"] = (now - learning) / (now - begun)
-        self.updates += 1
-        self.samples += len(rollout.returns)
-        figures["mean_value"] = float(rollout.returns.mean())
-        return figures
-
-    @torch.no_grad()
-    def _collect(self) -> tuple[Rollout, dict[str, float]]:
-        env, model, config = self.env, self.model, self.config
-        steps, worlds = config.horizon, len(env.world)
-        observations = torch.empty(steps, worlds, env.observation.size)
-        actions = torch.empty(steps, worlds, env.n_actions)
-        means = torch.empty_like(actions)
-        rewards, cut_values = torch.empty(steps, worlds), torch.zeros(steps, worlds)
-        failed, cut = torch.empty(2, steps, worlds, dtype=torch.bool)
-        values = torch.empty(steps + 1, worlds)
-        terms: list[dict[str, float]] = []
-        for t in range(steps):
-            seen = torch.from_numpy(self._observations)
-            if t % 4 == 0:
-                model.normalizer.observe(seen)
-            observations[t] = model.normalizer(seen)
-            values[t] = model.values(observations[t])
-            means[t] = model.actor(observations[t])
-            actions[t] = means[t] + model.log_std.exp() * torch.randn_like(means[t])
-            step = env.step(actions[t].numpy())
-            rewards[t] = torch.from_numpy(step.rewards) * (1 - config.discount)
-            failed[t], cut[t] = torch.from_numpy(step.failed), torch.from_numpy(step.cut)
-            if step.cut.any():
-                ends = model.normalizer(torch.from_numpy(step.cut_observations))
-                cut_values[t, cut[t]] = model.values(ends)
-            self._observations = step.observations
-            terms.append(step.terms)
-        values[steps] = model.values(model.normalizer(torch.from_numpy(self._observations)))
-        gains = advantages(rewards, values, failed, cut, cut_values, config.discount, config.trace_decay)
-        returns = (gains + values[:-1]).clamp(0.0, 1.0)
-
-        def flat(x: Tensor) -> Tensor:
-            return x.reshape(steps * worlds, *x.shape[2:])
-
-        ended = int(failed.sum() + cut.sum())
-        figures = {
-            "reward": float(rewards.mean()) / (1 - config.discount),
-            "failing": float(failed.sum()) / max(ended, 1),
-            "failures_per_s": float(failed.float().mean()) / env.config.physics.control_period,
-            "active_clips": float(env.sampler.active),
-        } | {f"term_{name}": float(np.mean([t[name] for t in terms])) for name in terms[0]}
-        return (
-            Rollout(flat(observations), flat(actions), flat(means), flat(gains), flat(returns)),
-            figures,
-        )
+    def _adapt(self, figures: dict[str, float]) -> dict[str, float]:
+        return {"active_clips": float(self.env.sampler.active)}
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Tensors and facts that `load_state` goes on from."""
-        tensors = {f"model.{name}": value for name, value in self.model.state_dict().items()}
-        for role, optimizer, network in self._learners():
-            for name, parameter in network.named_parameters():
-                for kind, value in optimizer.state[parameter].items():
-                    tensors[f"{role}.{kind}.{name}"] = value
+        """See `PolicyTraining.state`."""
+        tensors, facts = super().state()
         for name, value in self.env.sampler.state().items():
             tensors[f"sampler.{name}"] = torch.from_numpy(np.asarray(value))
-        return tensors, {"updates": self.updates, "samples": self.samples, "rate": self.ppo.rate}
+        return tensors, facts
 
-    def load_state(self, tensors: dict[str, Tensor], facts: dict[str, Any]) -> None:
-        """Go on from `state`.
-
-        Raises:
-            RuntimeError: the networks are of another size.
-        """
-        parts: dict[str, dict[str, Tensor]] = {}
-        for key, value in tensors.items():
-            part, name = key.split(".", 1)
-            parts.setdefault(part, {})[name] = value
-        noise = (
-            self.model.log_std.clone()
-        )  # the settings' noise, not the file's: it may be lowered on the way
-        self.model.load_state_dict(parts["model"])
-        self.model.log_std.copy_(noise)
-        for role, optimizer, network in self._learners():
-            moments = parts.get(role, {})
-            for name, parameter in network.named_parameters():
-                kinds = ("step", "exp_avg", "exp_avg_sq")
-                if f"step.{name}" in moments:
-                    optimizer.state[parameter] = {kind: moments[f"{kind}.{name}"] for kind in kinds}
+    def load_state(self, tensors: dict[str, Tensor], facts: dict[str, Any]) -> dict[str, dict[str, Tensor]]:
+        """See `PolicyTraining.load_state`."""
+        parts = super().load_state(tensors, facts)
         self.env.sampler.load_state({name: value.numpy() for name, value in parts["sampler"].items()})
-        self.updates, self.samples = int(facts["updates"]), int(facts["samples"])
-        self.ppo.rate = float(facts["rate"])
-        for group in self.ppo.actor_optimizer.param_groups:
-            group["lr"] = self.ppo.rate
         self._observations = self.env.reset()
-
-    def _learners(self):
-        yield "actor", self.ppo.actor_optimizer, self.model.actor
-        yield "critic", self.ppo.critic_optimizer, self.model.critic
+        return parts

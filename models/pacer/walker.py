@@ -1,6 +1,6 @@
 """The trained walker at run time: body states and paths in, PD targets and values of plans out.
 
->>> walker = Walker.load(Path("models/weights/pacer_compact.safetensors"))  # doctest: +SKIP
+>>> walker = Walker.load()  # doctest: +SKIP
 >>> walker.enter([7], [body], states)  # doctest: +SKIP
 >>> targets = walker.step(states, paths, times)  # (1, 69) rad, for the next 1/30 s  # doctest: +SKIP
 """
@@ -29,6 +29,9 @@ from .walker_observation import LIMIT, WAYPOINTS, Mirror, Motion, People, cleara
 from .walker_weights import load_walker
 
 Array = NDArray[np.float64]
+
+WALKER = Path(__file__).parent.parent / "weights" / "pacer_compact.safetensors"
+"""The walker that is shipped."""
 
 _RESTING = 0.15  # m/s: who is slower is taken over as standing
 _ANKLES = [BODY_INDEX["L_Ankle"], BODY_INDEX["R_Ankle"]]
@@ -65,7 +68,7 @@ class Walker:
         self._pelvis = torch.zeros(0, 2)
 
     @classmethod
-    def load(cls, path: Path, height_at: HeightAt = flat_ground) -> Walker:
+    def load(cls, path: Path = WALKER, height_at: HeightAt = flat_ground) -> Walker:
         """Read a walker.
 
         Raises:
@@ -78,6 +81,12 @@ class Walker:
     def ids(self) -> list[int]:
         """Who is driven."""
         return list(self._ids)
+
+    def ground(self, height_at: HeightAt) -> None:
+        """Walk on other ground from here on: heights (m,), m, at world points (m, 2)."""
+        self.height_at = height_at
+        if self._reference is not None:
+            self._reference.ground(height_at)
 
     def enter(self, ids: Sequence[int], bodies: Sequence[Body], states: ArrayLike) -> None:
         """Take over people as they stand or walk.

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from .batch_world import Physics
 from .courses import CourseSettings
+from .learning_config import PAPER_LEARNING, LearningConfig
 from .local_map import COMPACT_MAP, MapSettings
 from .path_follower import FollowerLimits
 from .paths import PathSettings
@@ -59,7 +60,7 @@ class StyleConfig:
 
 
 @dataclass(frozen=True)
-class WalkerConfig:
+class WalkerConfig(LearningConfig):
     """Environment, networks and learning of the walker."""
 
     worlds: int = 256
@@ -101,28 +102,14 @@ class WalkerConfig:
     """Whether actions move the arms, too; otherwise they swing as the gait says."""
     lead: float = 0.1
     """s: PD targets run ahead of the gait by this times its rates; the drives' kd / kp."""
-    lost: float = 1.0
-    """m from the path at which an episode fails; PACER has 4 m, and learns slower for it."""
+    lost: float = 2.0
+    """m from the path at which an episode fails in training; PACER has 4 m, and learns slower for it."""
     episode: int = 300
     """Control steps: 10 s."""
     push_interval: float = 4.0
     """s between pushes, on average; 0 for none."""
     push_force: float = 200.0
     """N at most, sideways or along, for 0.2 s on the chest."""
-    hidden: tuple[int, ...] = (512, 256)
-    noise: float = 0.15
-    """Standard deviation of actions while training."""
-    horizon: int = 16
-    epochs: int = 5
-    minibatch: int = 1024
-    discount: float = 0.97
-    trace_decay: float = 0.95
-    clip: float = 0.2
-    bfloat16: bool = True
-    target_kl: float = 0.03
-    rate: float = 3e-4
-    rate_bounds: tuple[float, float] = (2e-5, 1e-3)
-    seed: int = 0
 
 
 _SMALL_COURSE = CourseSettings(levels=4, columns=8, tile=10.0, border=25.0)
@@ -136,19 +123,11 @@ CONFIGS: dict[str, WalkerConfig] = {
         physics=Physics(actuation="full"),
         style=StyleConfig(weight=0.5, hidden=(2048, 1024), gradient_penalty=5.0, batch=4096, memory=200_000),
         arms=True,
-        hidden=(2048, 1024),
         paths=PathSettings(duration=16.0, vertices=161),
         course=CourseSettings(columns=20, border=50.0),
         map=MapSettings(),
         lost=4.0,
-        noise=0.055,
-        horizon=32,
-        epochs=6,
-        minibatch=16384,
-        discount=0.99,
-        bfloat16=False,
-        rate=2e-5,
-        rate_bounds=(2e-5, 2e-5),
+        **PAPER_LEARNING,
     ),
 }
 """``compact_terrain``: goes on from ``compact`` on slopes and stairs.

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 PEOPLE_SEED = 90210
 """Of the people who are judged; those of training have small seeds."""
+LOST = 4.0
+"""m from the path at which a rollout fails, as it does in PACER."""
 _RESTING = 0.2  # share of rollouts that start at rest
 
 
@@ -124,7 +126,7 @@ def roll_out(
         offsets = env.offsets
         stands = standing(env.clear).any(-1)
         fell |= alive & down
-        alive &= ~down & (offsets < config.lost)
+        alive &= ~down & (offsets < LOST)
         touching = (env.clear < TOUCHING).any((1, 2))
         error[k, alive], power[k, alive] = offsets[alive], used[alive]
         skate[k] = np.where(alive & touching, env.slip, np.nan)

@@ -7,7 +7,8 @@ from footfall.messages.body import Bodies, BodyStates
 from footfall.messages.map import SemanticMap
 from footfall.messages.plan import Plans
 from footfall.messages.topics import BODIES, BODY_STATES, MAP, PLANS
-from footfall.nodes.controller import TICK, Config, Controller, Follower
+from footfall.nodes.controller import TICK, Config, Controller
+from footfall.nodes.controller_gait import Follower
 
 
 def straight(speed: float, start: float = 0.0, count: int = 50):
