@@ -16,7 +16,7 @@ from ..messages.config import ConfigError
 from ..messages.topics import AGENTS, BODIES, BODY_ACTIONS, BODY_STATES, MAP, PLANS, Outgoing
 from ..models.body import Body, describe
 from ..models.gait import flat_ground
-from ..models.scene import Terrain
+from ..models.scene import Obstacle, Terrain
 from .controller_gait import GaitMethod
 from .controller_method import Attendance, Method
 from .node import Inbox, Node, NodeConfig
@@ -67,9 +67,11 @@ class Controller(Node[Config]):
             shapes = bodies.shapes.astype(np.float64)
             self._bodies = {i: describe(shape) for i, shape in zip(bodies.ids.tolist(), shapes, strict=True)}
         if inbox.new(MAP) or not self._grounded:
-            terrain = inbox.require(MAP).terrain
+            place = inbox.require(MAP)
+            terrain = place.terrain
             ground = terrain and Terrain(np.array(terrain.heights), terrain.resolution, terrain.origin)
-            self._method.ground(ground.height_at if ground else flat_ground)
+            obstacles = [Obstacle(o.name, np.array(o.polygon), o.height) for o in place.obstacles]
+            self._method.ground(ground.height_at if ground else flat_ground, obstacles)
             self._grounded = True
         method = self._method
         message = inbox.require(BODY_STATES)

@@ -10,6 +10,7 @@ from ..models.body import Body
 from ..models.body.rotations import yaw
 from ..models.gait import Command, Gait
 from ..models.gait.footholds import HeightAt
+from ..models.scene import Obstacle
 
 Array = NDArray[np.float64]
 
@@ -35,8 +36,8 @@ class GaitMethod:
         """Who walks, in the order of what `step` returns."""
         return self._gait.ids.tolist()
 
-    def ground(self, height_at: HeightAt) -> None:
-        """Walk on other ground from here on."""
+    def ground(self, height_at: HeightAt, obstacles: Sequence[Obstacle]) -> None:
+        """Walk on other ground from here on, among other obstacles."""
         state = self._gait.state
         self._gait = Gait(height_at)
         self._gait.state = state

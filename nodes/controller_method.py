@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ..models.body import Body
 from ..models.gait.footholds import HeightAt
+from ..models.scene import Obstacle
 
 Array = NDArray[np.float64]
 
@@ -23,8 +24,8 @@ class Method(Protocol):
         """Who is moved, in the order of what `step` takes and returns."""
         ...
 
-    def ground(self, height_at: HeightAt) -> None:
-        """Walk on other ground from here on."""
+    def ground(self, height_at: HeightAt, obstacles: Sequence[Obstacle]) -> None:
+        """Walk on other ground from here on, among other obstacles."""
         ...
 
     def enter(self, ids: Sequence[int], bodies: Sequence[Body], states: Array, now: float) -> None:

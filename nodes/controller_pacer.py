@@ -13,6 +13,7 @@ from ..models.body import Body
 from ..models.gait.footholds import HeightAt
 from ..models.pacer.paths import Paths
 from ..models.pacer.walker import WALKER, Walker
+from ..models.scene import Obstacle
 from ..models.trace.weights import WeightsError
 
 Array = NDArray[np.float64]
@@ -50,9 +51,9 @@ class PacerMethod:
         """Who walks, in the order of what `step` takes and returns."""
         return self._walker.ids
 
-    def ground(self, height_at: HeightAt) -> None:
-        """Walk on other ground from here on."""
-        self._walker.ground(height_at)
+    def ground(self, height_at: HeightAt, obstacles: Sequence[Obstacle]) -> None:
+        """Walk on other ground from here on, among other obstacles."""
+        self._walker.ground(height_at, obstacles)
 
     def enter(self, ids: Sequence[int], bodies: Sequence[Body], states: Array, now: float) -> None:
         """Take over newcomers as they stand or walk: states (n, 24, 13); until a plan comes they stop."""

@@ -6,6 +6,7 @@ from importlib import import_module
 BENCHES = {
     "bus": ("bench_bus", "round trips and throughput of the bus beside raw pyzmq and other buses"),
     "env": ("bench_env", "control steps per second of the tracker's worlds beside bare MuJoCo"),
+    "crowd": ("bench_crowd", "real-time factor of crowds in physics, by how many walk"),
     "planner": ("bench_planner", "how long TRACE plans, beside the paper's sampler, and what speed costs"),
     "kill": ("bench_kill", "SIGKILL every process of a graph in turn; what ends, comes back, is left"),
     "soak": ("bench_soak", "memory of every process over half an hour, and what was lost on the way"),

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 
 from ..models.pacer.courses import CourseSettings
+from ..models.pacer.crowd_evaluation import roll_out_together, unaware
+from ..models.pacer.walker import WALKER
 from ..models.pacer.walker_evaluation import Rollouts, roll_out
 from ..models.pacer.walker_weights import load_discriminator, load_walker
-
-WEIGHTS = Path(__file__).parents[1] / "models" / "weights" / "pacer_compact.safetensors"
 
 COURSE = CourseSettings(levels=4, columns=8, tile=10.0, border=25.0)
 """Random terrain."""
@@ -24,13 +24,14 @@ class EvaluationError(ValueError):
 def add_parser(subparsers) -> None:
     """Add `eval pacer` to the command line."""
     parser = subparsers.add_parser("pacer", help="the walker")
-    parser.add_argument("--model", type=Path, default=WEIGHTS)
-    parser.add_argument("--terrain", choices=["flat", "random"], default="flat")
+    parser.add_argument("--model", type=Path, default=WALKER)
+    parser.add_argument("--terrain", choices=["flat", "random", "obstacles", "crowd"], default="flat")
     parser.add_argument("--rollouts", type=int, default=600)
     parser.add_argument("--people", type=int, default=30, help="different bodies")
     parser.add_argument("--duration", type=float, default=10.0, help="s of each rollout")
     parser.add_argument("--push", type=float, default=0.0, help="N for 0.2 s from a random side after 3 s")
     parser.add_argument("--style", type=Path, help="a discriminator, style.safetensors of a run")
+    parser.add_argument("--unaware", action="store_true", help="people look at nothing but their paths")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -45,17 +46,32 @@ def run(args: argparse.Namespace) -> int:
         raise EvaluationError("--rollouts, --people, --duration and --threads must be positive")
     torch.set_num_threads(args.threads)
     model, config, facts = load_walker(args.model)
-    result = roll_out(
-        model,
-        config,
-        args.rollouts,
-        people=args.people,
-        duration=args.duration,
-        push=args.push,
-        course=COURSE if args.terrain == "random" else None,
-        discriminator=load_discriminator(args.style) if args.style else None,
-        seed=args.seed,
-    )
+    judge = load_discriminator(args.style) if args.style else None
+    if args.unaware:
+        config = unaware(config)
+    if args.terrain in ("obstacles", "crowd"):
+        result = roll_out_together(
+            model,
+            config,
+            args.rollouts,
+            args.terrain,
+            people=args.people,
+            duration=args.duration,
+            discriminator=judge,
+            seed=args.seed,
+        )
+    else:
+        result = roll_out(
+            model,
+            config,
+            args.rollouts,
+            people=args.people,
+            duration=args.duration,
+            push=args.push,
+            course=COURSE if args.terrain == "random" else None,
+            discriminator=judge,
+            seed=args.seed,
+        )
     figures = result.summary() | gait_figures(result) | {"samples": facts.get("samples", 0)}
     if args.json:
         print(json.dumps(figures))

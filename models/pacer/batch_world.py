@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..body import N_BODIES, N_JOINTS, Body
 from ..world.humanoid import Actuation, actuated_joints, add_humanoid
-from ..world.stage import add_ground
+from ..world.stage import add_ground, add_obstacles
 from .mathops import cross, rotate, rotate_back
 
 if TYPE_CHECKING:
-    from ..scene.terrain import Terrain
+    from ..scene import Obstacle, Terrain
 
 # pyright: reportAttributeAccessIssue=false
 # (mujoco names most of its classes at run time only)
@@ -63,6 +63,7 @@ class BatchWorld:
         worlds: N.
         physics: how to simulate.
         terrain: ground heights; None is flat ground at z = 0.
+        obstacles: upright prisms in every world.
 
     Raises:
         BatchWorldError: no body, no world, or no positive time step.
@@ -74,6 +75,7 @@ class BatchWorld:
         worlds: int,
         physics: Physics | None = None,
         terrain: Terrain | None = None,
+        obstacles: Sequence[Obstacle] = (),
     ):
         self.physics = physics or Physics()
         if not bodies or worlds < 1:
@@ -85,7 +87,7 @@ class BatchWorld:
         """(N,) which of the bodies each world holds."""
         self.hinges = actuated_joints(self.physics.actuation)
         """(H,) which of the 69 hinges exist."""
-        models = [_compile(body, self.physics, terrain) for body in bodies]
+        models = [_compile(body, self.physics, terrain, obstacles) for body in bodies]
         self._batch = Batch(models[0], worlds, self.physics.threads)
         if len(bodies) > 1:
             self._batch.set_models([models[i] for i in self.body_index])
@@ -172,7 +174,9 @@ class BatchWorld:
         self._batch.step(nstep=self.physics.substeps)
 
 
-def _compile(body: Body, physics: Physics, terrain: Terrain | None) -> mujoco.MjModel:
+def _compile(
+    body: Body, physics: Physics, terrain: Terrain | None, obstacles: Sequence[Obstacle]
+) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.memory = 4 << 20
@@ -181,6 +185,7 @@ def _compile(body: Body, physics: Physics, terrain: Terrain | None) -> mujoco.Mj
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.iterations, option.ls_iterations = physics.iterations, 10
     add_ground(spec, terrain)
+    add_obstacles(spec, obstacles, terrain)
     add_humanoid(spec, body, actuation=physics.actuation)
     model = spec.compile()
     assert model.nbody == N_BODIES + 1

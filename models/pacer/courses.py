@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import zoom
 
-from ..scene.terrain import Terrain
+from ..scene import Obstacle, Terrain
 
 Heights = NDArray[np.float64]
 
@@ -19,6 +19,7 @@ SHARES: dict[str, float] = {
     "stairs_down": 0.15,
     "discrete": 0.05,
     "flat": 0.1,
+    "obstacles": 0.1,
 }
 """Kind of ground: its share among tiles, relative to the others' (PACER's settings)."""
 
@@ -51,6 +52,8 @@ class Course:
     settings: CourseSettings
     kinds: tuple[tuple[str, ...], ...]
     """By level and column."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """What stands on tiles of the kind ``obstacles``."""
 
     def centres(self) -> NDArray[np.float64]:
         """Middles (levels, columns, 2) of the tiles, m, world."""
@@ -77,7 +80,7 @@ def make_tile(kind: str, difficulty: float, settings: CourseSettings, rng: np.ra
     out = np.maximum(np.abs(along[:, None]), np.abs(along[None]))  # distance from the middle, squares
     inwards = np.clip(0.5 * settings.tile - out, 0.0, 0.5 * (settings.tile - settings.platform))
     up = rng.choice([-1.0, 1.0])
-    if kind == "flat":
+    if kind in ("flat", "obstacles"):
         return np.zeros((n, n))
     if kind == "slope":
         return up * 0.7 * difficulty * inwards
@@ -104,6 +107,34 @@ def _blocks(
         ground[x : x + width, y : y + depth] = rng.choice([-1.0, -0.5, 0.5, 1.0]) * height
     ground[out < 0.5 * settings.platform] = 0.0
     return ground
+
+
+def scatter_obstacles(
+    middle: tuple[float, float], side: float, count: int, rng: np.random.Generator, free: float = 1.5
+) -> list[Obstacle]:
+    """Boxes of 0.5 to 1.5 m, turned at random, that leave 1.2 m between them.
+
+    Args:
+        middle: (x, y) m, world, of the square they stand in; it stays free.
+        side: m of the square.
+        count: how many at most; fewer where there is no room.
+        rng: random numbers.
+        free: m around the middle without any.
+    """
+    placed: list[tuple[Heights, float]] = [(np.asarray(middle), free - 1.2)]
+    boxes = []
+    for _ in range(20 * count):
+        half, turn = rng.uniform(0.25, 0.75, 2), rng.uniform(0.0, np.pi)
+        reach = float(np.hypot(*half))
+        place = np.asarray(middle) + rng.uniform(-0.5, 0.5, 2) * (side - 2 * reach)
+        if len(boxes) < count and all(np.hypot(*(place - p)) > reach + r + 1.2 for p, r in placed):
+            placed.append((place, reach))
+            cos, sin = np.cos(turn), np.sin(turn)
+            corners = (
+                np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half @ np.array([[cos, sin], [-sin, cos]])
+            )
+            boxes.append(Obstacle(f"box {len(boxes)}", place + corners, 2.0))
+    return boxes
 
 
 def make_course(
@@ -134,4 +165,16 @@ def make_course(
     ]
     heights = np.pad(np.concatenate(strips, axis=0), margin).astype(np.float32)
     corner = 0.5 * s.cell - s.border
-    return Course(Terrain(heights, s.cell, (corner, corner)), s, (tuple(row),) * s.levels)
+    boxes = [
+        box
+        for level in range(s.levels)
+        for column, kind in enumerate(row)
+        if kind == "obstacles"
+        for box in scatter_obstacles(
+            (s.tile * (column + 0.5), s.tile * (level + 0.5)),
+            s.tile - 1.0,
+            round((1 + 2 * level / s.levels) * s.tile**2 / 25.0),
+            rng,
+        )
+    ]
+    return Course(Terrain(heights, s.cell, (corner, corner)), s, (tuple(row),) * s.levels, tuple(boxes))

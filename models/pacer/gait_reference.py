@@ -16,6 +16,7 @@ from ..gait import Command, Gait, flat_ground
 from ..gait.footholds import HeightAt
 from ..gait.footsteps import stand
 from ..gait.state import STATE, State, describe_walker
+from .manners import Manners
 from .path_follower import FollowerLimits, PathFollower
 
 Array = NDArray[np.float64]
@@ -31,6 +32,7 @@ class GaitReference:
         period: control step, s.
         height_at: ground height (m,), m, at world points (m, 2).
         limits: what followers of paths can do.
+        manners: how they keep clear of obstacles and each other.
     """
 
     def __init__(
@@ -39,10 +41,12 @@ class GaitReference:
         period: float,
         height_at: HeightAt = flat_ground,
         limits: FollowerLimits | None = None,
+        manners: Manners | None = None,
     ):
         count = len(bodies)
         self.period = period
-        self.follower = PathFollower(count, limits)
+        self.follower = PathFollower(count, limits, manners)
+        self.follower.radius = np.array([body.radius for body in bodies])
         self._gait = Gait(height_at)
         self._people: State = np.zeros(count, STATE)
         self._people["id"] = np.arange(count)
@@ -58,9 +62,10 @@ class GaitReference:
         self.rates: Array = np.zeros((count, 69))
         """(N, 69) rad/s on the way there."""
 
-    def ground(self, height_at: HeightAt) -> None:
-        """Walk on other ground from here on."""
+    def ground(self, height_at: HeightAt, manners: Manners | None) -> None:
+        """Walk on other ground from here on, with manners that know what stands on it."""
         self._gait.height_at = height_at
+        self.follower.manners = manners
 
     def keep(self, rows: NDArray[np.intp]) -> None:
         """Keep people (n,), in that order, and forget the others."""
@@ -68,7 +73,7 @@ class GaitReference:
         self._people, self._gait.state = self._people[rows], self._gait.state[rows]
         for owner, names in (
             (self, ("root", "joints", "velocity", "rates")),
-            (follower, ("position", "velocity", "heading", "turn_rate")),
+            (follower, ("position", "velocity", "heading", "turn_rate", "radius")),
         ):
             for name in names:
                 setattr(owner, name, getattr(owner, name)[rows])
@@ -80,7 +85,7 @@ class GaitReference:
         self._gait.state = np.concatenate([self._gait.state, other._gait.state])
         for mine, theirs, names in (
             (self, other, ("root", "joints", "velocity", "rates")),
-            (self.follower, other.follower, ("position", "velocity", "heading", "turn_rate")),
+            (self.follower, other.follower, ("position", "velocity", "heading", "turn_rate", "radius")),
         ):
             for name in names:
                 setattr(mine, name, np.concatenate([getattr(mine, name), getattr(theirs, name)]))

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .manners import Manners
+
 Array = NDArray[np.float64]
 
 
@@ -40,10 +42,14 @@ class PathFollower:
     Args:
         count: N.
         limits: what they can do.
+        manners: how they keep clear of obstacles and each other; left out, they look at nothing but the path.
     """
 
-    def __init__(self, count: int, limits: FollowerLimits | None = None):
+    def __init__(self, count: int, limits: FollowerLimits | None = None, manners: Manners | None = None):
         self.limits = limits or FollowerLimits()
+        self.manners = manners
+        self.radius: Array = np.full(count, 0.3)
+        """(N,) m: room that the people need."""
         self.position: Array = np.zeros((count, 2))
         """(N, 2) m, world."""
         self.velocity: Array = np.zeros((count, 2))
@@ -80,6 +86,8 @@ class PathFollower:
         wanted = (aims - self.position) / limits.preview
         pace = np.linalg.norm(wanted, axis=-1, keepdims=True)
         wanted *= np.minimum(1.0, limits.fastest / np.maximum(pace, 1e-9))
+        if self.manners:
+            wanted = self.manners.choose(wanted, people, self.velocity, self.radius, limits.fastest)
         self._turn(wanted, dt)
         cos, sin = np.cos(self.heading), np.sin(self.heading)
         ahead = cos * wanted[:, 0] + sin * wanted[:, 1]

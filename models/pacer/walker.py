@@ -18,12 +18,15 @@ from torch import Tensor
 from ..body import BODY_INDEX, N_BODIES, N_JOINTS, Body
 from ..gait import flat_ground
 from ..gait.footholds import HeightAt
+from ..scene import Obstacle
 from ..world.humanoid import actuated_joints
 from .gait_reference import GaitReference
 from .local_map import draw_local_maps
+from .manners import Manners
 from .mathops import heading
 from .paths import HORIZON, Paths
 from .policy import ActorCritic
+from .surface import seen_heights
 from .walker_config import WalkerConfig
 from .walker_observation import LIMIT, WAYPOINTS, Mirror, Motion, People, clearance, driven_hinges, observe
 from .walker_weights import load_walker
@@ -56,7 +59,6 @@ class Walker:
         """Time between two steps, s."""
         self.hinges = actuated_joints(config.physics.actuation)
         """(H,) hinges that are driven; the targets of the others are 0."""
-        self.height_at = height_at
         self._model = model.eval()
         self._driven = driven_hinges(self.hinges, config.arms)
         self._mirror = Mirror(self.hinges, self._driven, config.map.cells if config.map else 0)
@@ -66,6 +68,7 @@ class Walker:
         self._seen = torch.zeros(0, 0)
         self._axes = torch.zeros(0, 2, 2)
         self._pelvis = torch.zeros(0, 2)
+        self.ground(height_at)
 
     @classmethod
     def load(cls, path: Path = WALKER, height_at: HeightAt = flat_ground) -> Walker:
@@ -82,11 +85,13 @@ class Walker:
         """Who is driven."""
         return list(self._ids)
 
-    def ground(self, height_at: HeightAt) -> None:
-        """Walk on other ground from here on: heights (m,), m, at world points (m, 2)."""
+    def ground(self, height_at: HeightAt, obstacles: Sequence[Obstacle] = ()) -> None:
+        """Walk on other ground from here on: heights (m,), m, at world points (m, 2), and what stands on it."""
         self.height_at = height_at
+        self._seen_heights = seen_heights(height_at, obstacles)
+        self._manners = Manners(1, obstacles) if self.config.manners else None
         if self._reference is not None:
-            self._reference.ground(height_at)
+            self._reference.ground(height_at, self._manners)
 
     def enter(self, ids: Sequence[int], bodies: Sequence[Body], states: ArrayLike) -> None:
         """Take over people as they stand or walk.
@@ -110,7 +115,7 @@ class Walker:
         ahead = np.einsum("nk,nk->n", states[:, 0, 7:9], way)
         speed = np.where(ahead < _RESTING, 0.0, ahead)
         left, right = np.einsum("nfk,nk->fn", states[:, _ANKLES, :2], way)
-        reference = GaitReference(bodies, self.period, self.height_at, self.config.limits)
+        reference = GaitReference(bodies, self.period, self.height_at, self.config.limits, self._manners)
         start = states[:, 0, :2] - (speed * self.period)[:, None] * way
         facing = np.arctan2(way[:, 1], way[:, 0])
         reference.place(np.arange(len(ids)), start, facing, speed, np.where(left > right, 0.0, 0.5))
@@ -169,7 +174,7 @@ class Walker:
         maps = None
         if self.config.map:
             velocity = states[:, 0, 7:9]
-            maps = draw_local_maps(pelvis, way, velocity, self.height_at, self.config.map)
+            maps = draw_local_maps(pelvis, way, velocity, self._seen_heights, self.config.map)
         seen = observe(
             motion,
             people,

@@ -16,19 +16,19 @@ from .paths import PathSettings
 class WalkerRewards:
     """Weight and sharpness of each term of the reward, ``weight * exp(-sharpness * error)``; SI units."""
 
-    path: tuple[float, float] = (0.20, 5.0)
+    path: tuple[float, float] = (0.20, 8.0)
     """Squared distance from the path, m^2 (PACER, app. B.2, where the sharpness is 2)."""
     place: tuple[float, float] = (0.15, 20.0)
     """Squared distance of the pelvis from the gait's, m^2."""
     upright: tuple[float, float] = (0.10, 8.0)
     """Squared angle between the pelvis and the gait's, rad^2."""
-    joints: tuple[float, float] = (0.20, 20.0)
+    joints: tuple[float, float] = (0.15, 20.0)
     """Mean squared distance of the hinges from the gait's, rad^2."""
     velocity: tuple[float, float] = (0.10, 2.0)
     """Squared difference of the pelvis' velocity from the gait's, m^2/s^2, and (x 0.1) its spin, rad^2/s^2."""
     contacts: tuple[float, float] = (0.05, 3.0)
     """Share of heels and balls that stand when they should not or hang when they should stand."""
-    skate: tuple[float, float] = (0.10, 4.0)
+    skate: tuple[float, float] = (0.15, 6.0)
     """Mean speed of sole points that touch the ground, m/s."""
     effort: tuple[float, float] = (0.05, 0.12)
     """Mechanical power of the drives per body mass, W/kg (PACER's energy penalty, app. B.2)."""
@@ -94,6 +94,10 @@ class WalkerConfig(LearningConfig):
     """By how much of the whole, per update."""
     standing: float = 0.25
     """Share of episodes that begin at rest."""
+    company: int = 1
+    """People who begin near each other, see each other and give way; they do not touch, but fail if they would."""
+    manners: bool = True
+    """Whether followers go round obstacles and others."""
     body_aware: bool = True
     """Whether the body's shape is observed (PACER, table 9)."""
     action_scale: float = 0.4
@@ -112,11 +116,13 @@ class WalkerConfig(LearningConfig):
     """N at most, sideways or along, for 0.2 s on the chest."""
 
 
-_SMALL_COURSE = CourseSettings(levels=4, columns=8, tile=10.0, border=25.0)
+_SMALL_COURSE = CourseSettings(levels=4, columns=9, tile=10.0, border=25.0)
 
 CONFIGS: dict[str, WalkerConfig] = {
     "compact": WalkerConfig(),
-    "compact_terrain": WalkerConfig(course=_SMALL_COURSE, map=COMPACT_MAP),
+    "compact_terrain": WalkerConfig(
+        course=_SMALL_COURSE, map=COMPACT_MAP, company=4, widening=0.004, noise=0.12
+    ),
     "paper": WalkerConfig(
         worlds=2048,
         people=473,
@@ -126,6 +132,7 @@ CONFIGS: dict[str, WalkerConfig] = {
         paths=PathSettings(duration=16.0, vertices=161),
         course=CourseSettings(columns=20, border=50.0),
         map=MapSettings(),
+        company=8,
         lost=4.0,
         **PAPER_LEARNING,
     ),

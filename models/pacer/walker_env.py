@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 from ..body import BODY_INDEX, JOINT_GAINS, Body, describe, sample_shapes
 from ..body.skeleton import GAIN_REFERENCE_MASS
 from ..gait import flat_ground
+from ..scene.layers import signed_distance
 from .batch_world import EVERYONE, BatchWorld
 from .courses import make_course
 from .gait_reference import GaitReference
 from .local_map import draw_local_maps
+from .manners import Manners
 from .mathops import heading
 from .paths import Paths, sample_paths, with_stops
 from .style import StyleHistory, feature_count, style_features
+from .surface import seen_heights
 from .walker_config import WalkerConfig
 from .walker_observation import Mirror, Motion, People, clearance, driven_hinges, observe
 from .walker_rewards import fallen, reward_errors, slip_speed, weigh
@@ -29,6 +32,8 @@ _JITTER = (0.02, 0.05)  # rad and rad/s: spread of initial joint angles and velo
 _STOPS = 0.2  # share of paths with a stop on the way
 _STAYS = 0.3  # share of those at rest who stay there
 _PUSH = 0.2  # s
+_TOUCH = 0.35  # m between two pelvises: less is a collision
+_TOGETHER = 3.0  # m within which company begins
 _CHEST = 1 + BODY_INDEX["Chest"]
 
 
@@ -81,13 +86,17 @@ class WalkerEnv:
         self.course = make_course(config.course, seed=seed) if config.course else None
         """What there is to walk on; None is level ground."""
         terrain = self.course.terrain if self.course else None
-        self.world = BatchWorld(bodies, count, config.physics, terrain)
+        obstacles = self.course.obstacles if self.course else ()
+        self.world = BatchWorld(bodies, count, config.physics, terrain, obstacles)
         self.people = People.of([bodies[i] for i in self.world.body_index])
         self.period = config.physics.control_period
         self.height_at = terrain.height_at if terrain else flat_ground
-        self.reference = GaitReference(
-            [bodies[i] for i in self.world.body_index], self.period, self.height_at, config.limits
-        )
+        self._seen_heights = seen_heights(self.height_at, obstacles)
+        self.company = np.arange(count) // config.company
+        """(N,) who is near whom: worlds of one number show people to each other."""
+        manners = Manners(int(self.company[-1]) + 1, obstacles) if config.manners else None
+        everybody = [bodies[i] for i in self.world.body_index]
+        self.reference = GaitReference(everybody, self.period, self.height_at, config.limits, manners)
         self.driven = driven_hinges(self.world.hinges, config.arms)
         self.n_actions = len(self.driven)
         self.rng = np.random.default_rng(seed)
@@ -176,8 +185,9 @@ class WalkerEnv:
             return None
         way = heading(motion.quaternions[:, 0])
         pelvis = motion.positions[:, 0, :2]
-        alone = np.arange(len(self))
-        return draw_local_maps(pelvis, way, motion.velocity[:, :2], self.height_at, settings, alone)
+        return draw_local_maps(
+            pelvis, way, motion.velocity[:, :2], self._seen_heights, settings, self.company
+        )
 
     def unmirrored(self, actions: Floats) -> Floats:
         """Actions (N, A) as the bodies take them, of actions that answer the last observations."""
@@ -239,7 +249,8 @@ class WalkerEnv:
         rewards, terms = weigh(errors, self.config.rewards)
         fell = self.fallen() | ~np.isfinite(rewards)
         strayed = ~fell & ~(errors["path"] < self.config.lost**2)
-        failed = fell | strayed
+        bumped = ~(fell | strayed) & (self.nearest() < _TOUCH)
+        failed = fell | strayed | bumped
         cut = ~failed & (self.age >= self.config.episode)
         self.lead()
         observations = self.observe()
@@ -256,6 +267,7 @@ class WalkerEnv:
             "power": float(np.nan_to_num(power).mean()),
             "fell": float(fell.sum()),
             "strayed": float(strayed.sum()),
+            "bumped": float(bumped.sum()),
         }
         if len(ended):
             self._begin(ended)
@@ -269,7 +281,7 @@ class WalkerEnv:
         rng, n, config = self.rng, len(ids), self.config
         headings = rng.uniform(-np.pi, np.pi, n)
         settings = config.easy_paths.towards(config.paths, self.difficulty)
-        paths = sample_paths(self.starts(n), headings, rng, settings)
+        paths = sample_paths(self._starts(ids), headings, rng, settings)
         speeds = np.linalg.norm(paths.vertices[:, 1] - paths.vertices[:, 0], axis=1) / paths.spacing
         resting = rng.random(n) < config.standing
         stops = ~resting & (rng.random(n) < _STOPS)
@@ -279,6 +291,15 @@ class WalkerEnv:
         paths = with_stops(paths, begins, ends)
         headings = headings + np.where(resting, rng.uniform(-1.0, 1.0, n), rng.normal(0.0, 0.1, n))
         self.begin(ids, paths, np.where(resting, 0.0, speeds), headings, rng.random(n))
+
+    def nearest(self) -> Array:
+        """Distance (N,), m, to the nearest of one's company; infinite for those who are alone."""
+        size = self.config.company
+        if size == 1:
+            return np.full(len(self), np.inf)
+        places = self.motion.positions[:, 0, :2].reshape(-1, size, 2)
+        gap = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
+        return (gap + np.where(np.eye(size, dtype=bool), np.inf, 0.0)).min(-1).reshape(-1)
 
     def _read(self) -> Motion:
         world = self.world
@@ -290,6 +311,37 @@ class WalkerEnv:
             world.joints,
             world.joint_velocities,
         )
+
+    def _starts(self, ids: NDArray[np.intp]) -> Array:
+        """Places (n, 2), m, for people (n,) to begin at: near their company, but not too near."""
+        size = self.config.company
+        places = self.starts(len(ids))
+        if size == 1:
+            return places
+        there = self.world.positions[:, 0, :2].copy()
+        present = np.ones(len(self), dtype=bool)
+        present[ids] = False
+        for row, i in enumerate(ids):
+            first = i - i % size
+            mates = there[first : first + size][present[first : first + size]]
+            if len(mates):
+                middle = mates[self.rng.integers(len(mates))]
+                spots = middle + self.rng.uniform(-_TOGETHER, _TOGETHER, (12, 2))
+                spots = spots[self._room(spots) > 1.0] if self.course else spots
+                if len(spots):
+                    gap = np.linalg.norm(spots[:, None] - mates, axis=-1).min(1)
+                    places[row] = spots[np.argmax(np.minimum(gap, 1.2))]
+            there[i], present[i] = places[row], True
+        return places
+
+    def _room(self, spots: Array) -> Array:
+        """Distance (n,), m, of places (n, 2) from obstacles; 0 off the course's tiles."""
+        assert self.course is not None
+        s = self.course.settings
+        size = s.tile * np.array([s.columns, s.levels])
+        outside = ((spots < 0.0) | (spots > size)).any(1)
+        outlines = [np.asarray(obstacle.polygon) for obstacle in self.course.obstacles]
+        return np.where(outside, 0.0, signed_distance(outlines, spots))
 
     def starts(self, count: int) -> Array:
         """Places (n, 2) to begin at, m: the middles of tiles no harder than the present difficulty."""

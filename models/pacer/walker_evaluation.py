@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..body import describe, sample_shapes
+from ..body import Body, describe, sample_shapes
+from ..gait.footholds import HeightAt
 from .courses import CourseSettings
 from .paths import PathSettings, sample_paths, with_stops
 from .policy import ActorCritic
 from .style import Discriminator, StyleHistory, feature_count, style_features
 from .walker_config import WalkerConfig
 from .walker_env import WalkerEnv
-from .walker_observation import TOUCHING, standing
+from .walker_observation import TOUCHING, Motion, People, clearance, standing
+from .walker_rewards import slip_speed
 
 Array = NDArray[np.float64]
 
@@ -34,7 +37,9 @@ class Rollouts:
     failed: NDArray[np.bool_]
     """(R,)"""
     fell: NDArray[np.bool_]
-    """(R,) on to the ground; who failed otherwise strayed from the path."""
+    """(R,) on to the ground."""
+    hit: NDArray[np.bool_]
+    """(R,) somebody or something; who failed otherwise strayed from the path."""
     path_error: Array
     """(T, R) m."""
     skate: Array
@@ -44,7 +49,7 @@ class Rollouts:
     strikes: NDArray[np.bool_]
     """(T, R, 2) whether the left or right foot came down."""
     power: Array
-    """(T, R) W/kg."""
+    """(T, R) W/kg; not a number where it was not measured."""
     style: Array
     """(T, R) reward of a discriminator as PACER reports it; not a number without one."""
     stature: Array
@@ -56,19 +61,132 @@ class Rollouts:
 
     def summary(self) -> dict[str, Any]:
         """The figures of the paper's table 3, and foot skate; None for the style without a discriminator."""
-        styled = bool(np.isfinite(self.style).any())
         return {
             "fail_rate": float(self.failed.mean()),
             "path_error_m": float(np.nanmean(self.path_error)),
-            "disc_reward": float(np.nanmean(self.style)) if styled else None,
-            "foot_skate_mps": float(np.nanmean(self.skate)),
-            "power_w_per_kg": float(np.nanmean(self.power)),
+            "disc_reward": _mean(self.style),
+            "foot_skate_mps": _mean(self.skate),
+            "power_w_per_kg": _mean(self.power),
             "rollouts": len(self.failed),
             "falls_by_cause": {
                 "fell": int(self.fell.sum()),
-                "strayed": int((self.failed & ~self.fell).sum()),
+                "hit": int(self.hit.sum()),
+                "strayed": int((self.failed & ~self.fell & ~self.hit).sum()),
             },
         }
+
+    @classmethod
+    def joined(cls, parts: Sequence[Rollouts]) -> Rollouts:
+        """All rollouts of some, which last equally long."""
+        names = [field.name for field in fields(cls) if field.name != "period"]
+        arrays = {name: [getattr(part, name) for part in parts] for name in names}
+        whole = {n: np.concatenate(a, axis=1 if a[0].ndim > 1 else 0) for n, a in arrays.items()}
+        return cls(**whole, period=parts[0].period)
+
+
+def _mean(values: Array) -> float | None:
+    """Mean of what was measured."""
+    return float(np.nanmean(values)) if np.isfinite(values).any() else None
+
+
+class Measurement:
+    """What R people do, step by step.
+
+    Args:
+        bodies: (R,) theirs.
+        hinges: (H,) which hinges exist.
+        steps: T.
+        period: s.
+        height_at: ground height (m,), m, at world points (m, 2).
+        discriminator: what judges style, if anything.
+    """
+
+    def __init__(
+        self,
+        bodies: Sequence[Body],
+        hinges: NDArray[np.intp],
+        steps: int,
+        period: float,
+        height_at: HeightAt,
+        discriminator: Discriminator | None = None,
+    ):
+        count = len(bodies)
+        self.people = People.of(bodies)
+        self.steps, self._bodies, self._period, self._height_at = steps, bodies, period, height_at
+        self._fell: NDArray[np.bool_] = np.zeros(count, dtype=bool)
+        self._hit: NDArray[np.bool_] = np.zeros(count, dtype=bool)
+        self._error, self._skate, self._speed, self._power, self._style = np.full((5, steps, count), np.nan)
+        self._strikes = np.zeros((steps, count, 2), dtype=bool)
+        self._discriminator = discriminator
+        self._window = discriminator.config.window if discriminator else 1
+        self._history = StyleHistory(count, feature_count(len(hinges)), self._window)
+        self._features = np.zeros((count, feature_count(len(hinges))), dtype=np.float32)
+
+    def begin(self, motion: Motion) -> None:
+        """See everybody where they start."""
+        self._points = motion.sole_points(self.people.soles)
+        self._clear = clearance(self._points, self._height_at)
+
+    def add(
+        self,
+        k: int,
+        motion: Motion,
+        ids: NDArray[np.intp],
+        alive: NDArray[np.bool_],
+        offsets: Array,
+        fell: NDArray[np.bool_],
+        hit: NDArray[np.bool_],
+        power: Array | None = None,
+    ) -> None:
+        """Take in a step.
+
+        Args:
+            k: its number.
+            motion: of people (n,) after it.
+            ids: (n,) who they are; all that have not failed before.
+            alive: (n,) who has still not failed.
+            offsets: (n,) m from the path.
+            fell: (n,) who has just fallen.
+            hit: (n,) who has just hit somebody or something.
+            power: (n,) W/kg.
+        """
+        points = motion.sole_points(self.people.soles[ids])
+        clear = clearance(points, self._height_at)
+        slip = slip_speed(points, self._points[ids], clear, self._clear[ids], self._period)
+        stood, stands = standing(self._clear[ids]).any(-1), standing(clear).any(-1)
+        self._points[ids], self._clear[ids] = points, clear
+        self._fell[ids], self._hit[ids] = fell, hit
+        on = ids[alive]
+        touching = (clear < TOUCHING).any((1, 2))
+        self._error[k, on] = offsets[alive]
+        self._skate[k, on] = np.where(touching, slip, np.nan)[alive]
+        self._speed[k, on] = np.linalg.norm(motion.velocity[alive, :2], axis=-1)
+        self._strikes[k, on] = (stands & ~stood)[alive]
+        if power is not None:
+            self._power[k, on] = power[alive]
+        if self._discriminator:
+            self._features[ids] = style_features(motion)
+            self._history.push(self._features)
+            if k >= self._window:
+                windows = torch.from_numpy(self._history.windows[on])
+                self._style[k, on] = self._discriminator.paper_rewards(windows).numpy()
+
+    def result(self, failed: NDArray[np.bool_]) -> Rollouts:
+        """All of it, for people of whom those marked (R,) have failed."""
+        return Rollouts(
+            failed,
+            self._fell,
+            self._hit,
+            self._error,
+            self._skate,
+            self._speed,
+            self._strikes,
+            self._power,
+            self._style,
+            np.array([body.stature for body in self._bodies]),
+            np.array([body.mass for body in self._bodies]),
+            self._period,
+        )
 
 
 def evaluation_paths(duration: float) -> PathSettings:
@@ -105,54 +223,29 @@ def roll_out(
         seed: of paths and pushes.
     """
     paths = paths or evaluation_paths(duration)
-    config = replace(config, push_interval=0.0, paths=paths, easy_paths=paths, course=course)
+    config = replace(config, push_interval=0.0, paths=paths, easy_paths=paths, course=course, company=1)
     bodies = [describe(shape) for shape in sample_shapes(min(people, rollouts), PEOPLE_SEED)]
     env = WalkerEnv(config, rollouts, bodies, seed)
     start_walks(env, seed)
+    everybody = [bodies[i] for i in env.world.body_index]
     steps = round(duration / env.period)
-    alive, fell = np.ones(rollouts, dtype=bool), np.zeros(rollouts, dtype=bool)
-    error, skate, speed, power, style = np.full((5, steps, rollouts), np.nan)
-    window = discriminator.config.window if discriminator else 1
-    history = StyleHistory(rollouts, feature_count(len(env.world.hinges)), window)
-    strikes = np.zeros((steps, rollouts, 2), dtype=bool)
-    stood = standing(env.clear).any(-1)
+    measurement = Measurement(everybody, env.world.hinges, steps, env.period, env.height_at, discriminator)
+    measurement.begin(env.motion)
+    alive = np.ones(rollouts, dtype=bool)
     rng = np.random.default_rng(seed + 1)
     for k in range(steps):
         actions = env.unmirrored(model.act(torch.from_numpy(env.observe())).numpy())
         if push and k == round(3.0 / env.period):
             env.push(np.arange(rollouts), np.full(rollouts, push), rng.uniform(-np.pi, np.pi, rollouts), 0.2)
-        used = env.advance(actions)
+        power = env.advance(actions)
         down = env.fallen() | ~np.isfinite(env.world.qpos).all(1)
-        offsets = env.offsets
-        stands = standing(env.clear).any(-1)
-        fell |= alive & down
-        alive &= ~down & (offsets < LOST)
-        touching = (env.clear < TOUCHING).any((1, 2))
-        error[k, alive], power[k, alive] = offsets[alive], used[alive]
-        skate[k] = np.where(alive & touching, env.slip, np.nan)
-        speed[k, alive] = np.linalg.norm(env.motion.velocity[alive, :2], axis=-1)
-        if discriminator:
-            history.push(style_features(env.motion))
-            if k >= window:
-                rewards = discriminator.paper_rewards(torch.from_numpy(history.windows)).numpy()
-                style[k, alive] = rewards[alive]
-        strikes[k] = stands & ~stood & alive[:, None]
-        stood = stands
+        ids, offsets = np.flatnonzero(alive), env.offsets
+        going = ~down & (offsets < LOST)
+        nobody = np.zeros(len(ids), dtype=bool)
+        measurement.add(k, env.motion.take(ids), ids, going[ids], offsets[ids], down[ids], nobody, power[ids])
+        alive &= going
         env.lead()
-    index = env.world.body_index
-    return Rollouts(
-        ~alive,
-        fell,
-        error,
-        skate,
-        speed,
-        strikes,
-        power,
-        style,
-        np.array([b.stature for b in bodies])[index],
-        np.array([b.mass for b in bodies])[index],
-        env.period,
-    )
+    return measurement.result(~alive)
 
 
 def start_walks(env: WalkerEnv, seed: int) -> None:

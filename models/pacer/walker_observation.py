@@ -93,6 +93,10 @@ class Motion:
             rates[:, hinges],
         )
 
+    def take(self, rows: NDArray[np.intp]) -> Motion:
+        """That of people (n,)."""
+        return Motion(*(getattr(self, field.name)[rows] for field in fields(self)))
+
     def sole_points(self, soles: Array) -> Array:
         """World places (N, 2, 5, 3) of the sole points, m."""
         turned = np.broadcast_to(self.quaternions[:, FEET, None], (*soles.shape[:-1], 4))

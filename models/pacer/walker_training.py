@@ -62,8 +62,9 @@ class WalkerTraining(PolicyTraining):
         self.failing += 0.05 * (ranks.mean(figures["failures_per_s"]) - self.failing)
         if self.failing < self.config.widen_below:
             env.difficulty = min(env.difficulty + self.config.widening, 1.0)
-        ended = max(figures["fell"] + figures["strayed"], 1e-9)
-        causes = {cause: figures[cause] / ended for cause in ("fell", "strayed")}
+        causes = {cause: figures[cause] for cause in ("fell", "strayed", "bumped")}
+        ended = max(sum(causes.values()), 1e-9)
+        causes = {cause: count / ended for cause, count in causes.items()}
         return causes | {"difficulty": env.difficulty}
 
     def _rewards(self, step: WalkerStep) -> Tensor:

@@ -14,7 +14,13 @@ from footfall.models.pacer.walker_config import CONFIGS
 from footfall.models.pacer.walker_env import WalkerEnv
 
 SMALL = replace(
-    CONFIGS["compact"], worlds=4, people=4, physics=Physics(threads=1), push_interval=0.0, hidden=(16,)
+    CONFIGS["compact"],
+    worlds=4,
+    people=4,
+    physics=Physics(threads=1),
+    push_interval=0.0,
+    hidden=(16,),
+    manners=False,
 )
 
 
