@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..models.body import Body, describe, sample_shapes
+from ..models.pacer.courses import Course
 from ..models.pacer.policy import ActorCritic
 from ..models.pacer.walker_config import WalkerConfig
 from ..models.pacer.walker_env import WalkerEnv
-from ..models.pacer.walker_evaluation import PEOPLE_SEED, evaluation_paths, start_walks
+from ..models.pacer.walker_evaluation import PEOPLE_SEED, Rollouts, evaluation_paths, start_walks
 from ..models.render.renderer import Camera, CrowdRenderer
 from ..models.render.video import write_video
 
@@ -89,7 +90,7 @@ def _turned(poses: NDArray, origin: NDArray, turn: float) -> NDArray:
 def record(model: ActorCritic, config: WalkerConfig, seconds: float, seed: int, walkers: int = 6) -> Walk:
     """Let a few people of different build walk random paths."""
     paths = evaluation_paths(seconds)
-    config = replace(config, push_interval=0.0, paths=paths, easy_paths=paths)
+    config = replace(config, push_interval=0.0, paths=paths, easy_paths=paths, company=1, course=None)
     bodies = [describe(shape) for shape in sample_shapes(walkers, PEOPLE_SEED)]
     env = WalkerEnv(config, walkers, bodies, seed)
     start_walks(env, seed)
@@ -136,3 +137,23 @@ def draw_curves(path: Path) -> None:
         axes.tick_params(labelsize=6)
         axes.grid(alpha=0.3)
     figure.savefig(path.with_suffix(".png"), dpi=80)
+
+
+def draw_failures(path: Path, course: Course, result: Rollouts) -> None:
+    """Draw the ground from above, where people failed and where the others ended."""
+    figure = Figure(figsize=(10, 5.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    terrain, s = course.terrain, course.settings
+    x, y = terrain.origin
+    rows, columns = terrain.heights.shape
+    extent = (x, x + columns * terrain.resolution, y, y + rows * terrain.resolution)
+    picture = axes.imshow(terrain.heights, origin="lower", extent=extent, cmap="terrain")
+    figure.colorbar(picture, label="height [m]", shrink=0.7)
+    axes.plot(*result.ends[~result.failed].T, ".", color="white", markersize=2, label="on their feet")
+    axes.plot(*result.ends[result.failed].T, "x", color="red", markersize=4, label="failed")
+    for column, kind in enumerate(course.kinds[0]):
+        axes.text((column + 0.5) * s.tile, -1.0, kind, ha="center", va="top", fontsize=7)
+    axes.set(xlim=(-5, s.columns * s.tile + 5), ylim=(-5, s.levels * s.tile + 5))
+    axes.legend(loc="upper right", fontsize=7)
+    figure.savefig(path, dpi=110)

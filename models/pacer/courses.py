@@ -42,6 +42,8 @@ class CourseSettings:
     """m between two heights."""
     platform: float = 3.0
     """m: side of the level place in the middle of slopes and stairs."""
+    kinds: tuple[str, ...] = tuple(SHARES)
+    """Kinds of ground there are; by their `SHARES`."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,20 @@ class Course:
     """By level and column."""
     obstacles: tuple[Obstacle, ...] = ()
     """What stands on tiles of the kind ``obstacles``."""
+
+    @property
+    def uneven(self) -> bool:
+        """Whether there is any ground that is not level."""
+        return bool(np.ptp(self.terrain.heights) > 0.0)
+
+    def kinds_at(self, places: NDArray[np.float64]) -> list[str]:
+        """Kind of ground at places (n, 2), m; ``border`` off the tiles."""
+        s = self.settings
+        cells = np.floor(np.asarray(places) / s.tile).astype(int)
+        inside = np.all((cells >= 0) & (cells < [s.columns, s.levels]), axis=1).tolist()
+        return [
+            self.kinds[y][x] if on else "border" for (x, y), on in zip(cells.tolist(), inside, strict=True)
+        ]
 
     def centres(self) -> NDArray[np.float64]:
         """Middles (levels, columns, 2) of the tiles, m, world."""
@@ -144,14 +160,14 @@ def make_course(
 
     Args:
         settings: sizes and numbers.
-        kinds: shares of the kinds; `SHARES` when left out.
+        kinds: shares of the kinds; those of the settings when left out.
         seed: of heights, and of who goes up and who down.
 
     Raises:
         CourseError: no tile, an unknown kind, or no positive share.
     """
     s = settings or CourseSettings()
-    shares = SHARES if kinds is None else kinds
+    shares = {kind: SHARES.get(kind, 0.0) for kind in s.kinds} if kinds is None else kinds
     if s.levels < 1 or s.columns < 1 or not sum(shares.values()) > 0:
         raise CourseError("A course needs at least one level, one column and one kind of ground.")
     rng = np.random.default_rng(seed)

@@ -131,7 +131,7 @@ def _enter(world: World, walker: Walker, bodies: list[Body], paths: Paths, headi
     speeds = np.linalg.norm(paths.vertices[:, 1] - paths.vertices[:, 0], axis=1) / paths.spacing
     everyone = np.arange(count)
     gait = GaitReference(bodies, walker.period)
-    poses = gait.place(everyone, paths.vertices[:, 0], headings, speeds, 0.5 * (everyone % 2))
+    poses = gait.place(everyone, paths.vertices[:, 0], headings, speeds, np.where(everyone % 2, 0.5, 0.0))
     for agent, (root, joints, twist, rates) in enumerate(zip(*poses, strict=True)):
         world.enter(agent, root, joints, twist, rates)
     walker.enter(everyone.tolist(), bodies, world.joint_states(everyone))

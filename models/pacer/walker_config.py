@@ -73,7 +73,7 @@ class WalkerConfig(LearningConfig):
         default_factory=lambda: PathSettings(duration=16.0, vertices=161, speed_range=(0.0, 2.2))
     )
     course: CourseSettings | None = None
-    """Ground to walk on; None is level."""
+    """Ground to walk on; None is level and empty."""
     map: MapSettings | None = None
     """What is seen of the surroundings; None is nothing."""
     limits: FollowerLimits = field(default_factory=FollowerLimits)
@@ -116,12 +116,13 @@ class WalkerConfig(LearningConfig):
     """N at most, sideways or along, for 0.2 s on the chest."""
 
 
+_LEVEL_COURSE = CourseSettings(levels=2, columns=4, tile=10.0, kinds=("flat", "obstacles"))
 _SMALL_COURSE = CourseSettings(levels=4, columns=9, tile=10.0, border=25.0)
 
 CONFIGS: dict[str, WalkerConfig] = {
-    "compact": WalkerConfig(),
+    "compact": WalkerConfig(course=_LEVEL_COURSE, company=4, noise=0.12),
     "compact_terrain": WalkerConfig(
-        course=_SMALL_COURSE, map=COMPACT_MAP, company=4, widening=0.004, noise=0.12
+        course=_SMALL_COURSE, map=COMPACT_MAP, company=4, noise=0.12, widening=0.004
     ),
     "paper": WalkerConfig(
         worlds=2048,
@@ -137,5 +138,6 @@ CONFIGS: dict[str, WalkerConfig] = {
         **PAPER_LEARNING,
     ),
 }
-"""``compact_terrain``: goes on from ``compact`` on slopes and stairs.
+"""``compact``: level ground, half of it with obstacles.
+``compact_terrain``: goes on from ``compact`` on slopes and stairs.
 ``paper``: PACER's body, networks, numbers of bodies and PPO settings (app. B)."""

@@ -12,8 +12,8 @@ from ..body import BODY_INDEX, JOINT_GAINS, Body, describe, sample_shapes
 from ..body.skeleton import GAIN_REFERENCE_MASS
 from ..gait import flat_ground
 from ..scene.layers import signed_distance
-from .batch_world import EVERYONE, BatchWorld
-from .courses import make_course
+from .batch_world import EVERYONE, BatchWorld, BatchWorldError
+from .courses import Course, make_course
 from .gait_reference import GaitReference
 from .local_map import draw_local_maps
 from .manners import Manners
@@ -70,6 +70,10 @@ class WalkerEnv:
         worlds: N; that of the settings when left out.
         bodies: who walks; drawn from the population when left out.
         seed: of all random choices.
+        course: what to walk on; laid by the settings when left out.
+
+    Raises:
+        BatchWorldError: the worlds cannot be shared out evenly among companies.
     """
 
     def __init__(
@@ -78,14 +82,19 @@ class WalkerEnv:
         worlds: int | None = None,
         bodies: Sequence[Body] | None = None,
         seed: int = 0,
+        course: Course | None = None,
     ):
         self.config = config
         count = worlds or config.worlds
+        if count % config.company:
+            raise BatchWorldError(f"{count} worlds cannot be shared out to companies of {config.company}.")
         if bodies is None:
             bodies = [describe(shape) for shape in sample_shapes(min(config.people, count), seed)]
-        self.course = make_course(config.course, seed=seed) if config.course else None
+        if course is None and config.course:
+            course = make_course(config.course, seed=seed)
+        self.course = course
         """What there is to walk on; None is level ground."""
-        terrain = self.course.terrain if self.course else None
+        terrain = self.course.terrain if self.course and self.course.uneven else None
         obstacles = self.course.obstacles if self.course else ()
         self.world = BatchWorld(bodies, count, config.physics, terrain, obstacles)
         self.people = People.of([bodies[i] for i in self.world.body_index])

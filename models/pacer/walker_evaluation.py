@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..body import Body, describe, sample_shapes
 from ..gait.footholds import HeightAt
-from .courses import CourseSettings
+from .courses import Course
 from .paths import PathSettings, sample_paths, with_stops
 from .policy import ActorCritic
 from .style import Discriminator, StyleHistory, feature_count, style_features
@@ -56,6 +56,8 @@ class Rollouts:
     """(R,) m."""
     mass: Array
     """(R,) kg."""
+    ends: Array
+    """(R, 2) m, world: where each was last on their feet."""
     period: float
     """s."""
 
@@ -73,7 +75,16 @@ class Rollouts:
                 "hit": int(self.hit.sum()),
                 "strayed": int((self.failed & ~self.fell & ~self.hit).sum()),
             },
+            "fail_rate_by_body": {
+                name: _mean(self.failed[who].astype(float)) for name, who in self._builds().items()
+            },
         }
+
+    def _builds(self) -> dict[str, NDArray[np.bool_]]:
+        """Who (R,) is short or tall, light or heavy for their stature."""
+        bulk = self.mass / self.stature**2
+        short, light = self.stature < np.median(self.stature), bulk < np.median(bulk)
+        return {"short": short, "tall": ~short, "light": light, "heavy": ~light}
 
     @classmethod
     def joined(cls, parts: Sequence[Rollouts]) -> Rollouts:
@@ -117,6 +128,7 @@ class Measurement:
         self._hit: NDArray[np.bool_] = np.zeros(count, dtype=bool)
         self._error, self._skate, self._speed, self._power, self._style = np.full((5, steps, count), np.nan)
         self._strikes = np.zeros((steps, count, 2), dtype=bool)
+        self._ends = np.zeros((count, 2))
         self._discriminator = discriminator
         self._window = discriminator.config.window if discriminator else 1
         self._history = StyleHistory(count, feature_count(len(hinges)), self._window)
@@ -156,12 +168,13 @@ class Measurement:
         stood, stands = standing(self._clear[ids]).any(-1), standing(clear).any(-1)
         self._points[ids], self._clear[ids] = points, clear
         self._fell[ids], self._hit[ids] = fell, hit
+        self._ends[ids] = motion.positions[:, 0, :2]
         on = ids[alive]
         touching = (clear < TOUCHING).any((1, 2))
         self._error[k, on] = offsets[alive]
         self._skate[k, on] = np.where(touching, slip, np.nan)[alive]
         self._speed[k, on] = np.linalg.norm(motion.velocity[alive, :2], axis=-1)
-        self._strikes[k, on] = (stands & ~stood)[alive]
+        self._strikes[k, on] = np.asarray(stands & ~stood)[alive]
         if power is not None:
             self._power[k, on] = power[alive]
         if self._discriminator:
@@ -185,6 +198,7 @@ class Measurement:
             self._style,
             np.array([body.stature for body in self._bodies]),
             np.array([body.mass for body in self._bodies]),
+            self._ends,
             self._period,
         )
 
@@ -201,10 +215,11 @@ def roll_out(
     rollouts: int,
     *,
     people: int = 30,
+    bodies: Sequence[Body] | None = None,
     duration: float = 10.0,
     paths: PathSettings | None = None,
     push: float = 0.0,
-    course: CourseSettings | None = None,
+    course: Course | None = None,
     discriminator: Discriminator | None = None,
     seed: int = 0,
 ) -> Rollouts:
@@ -215,6 +230,7 @@ def roll_out(
         config: its settings.
         rollouts: R.
         people: different bodies, drawn from the population but for training's.
+        bodies: who walks, if not those.
         duration: of each rollout, s.
         paths: how the paths wander; `evaluation_paths` when left out.
         course: ground to walk on; level when left out.
@@ -223,9 +239,9 @@ def roll_out(
         seed: of paths and pushes.
     """
     paths = paths or evaluation_paths(duration)
-    config = replace(config, push_interval=0.0, paths=paths, easy_paths=paths, course=course, company=1)
-    bodies = [describe(shape) for shape in sample_shapes(min(people, rollouts), PEOPLE_SEED)]
-    env = WalkerEnv(config, rollouts, bodies, seed)
+    config = replace(config, push_interval=0.0, paths=paths, easy_paths=paths, company=1, course=None)
+    bodies = bodies or [describe(shape) for shape in sample_shapes(min(people, rollouts), PEOPLE_SEED)]
+    env = WalkerEnv(config, rollouts, bodies, seed, course)
     start_walks(env, seed)
     everybody = [bodies[i] for i in env.world.body_index]
     steps = round(duration / env.period)

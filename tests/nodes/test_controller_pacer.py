@@ -20,7 +20,9 @@ from footfall.models.trace.weights import save_tensors
 from footfall.nodes.controller import TICK, Config, Controller
 from footfall.nodes.simulator import describe_bodies
 
-SMALL = replace(CONFIGS["compact"], worlds=3, people=3, hidden=(8,), physics=Physics(threads=1))
+SMALL = replace(
+    CONFIGS["compact"], company=1, course=None, worlds=3, people=3, hidden=(8,), physics=Physics(threads=1)
+)
 OPEN = SemanticMap("open", [], np.zeros((0, 1, 1), np.uint8), 1.0, (0.0, 0.0))
 SHAPES = sample_shapes(3, 4).astype(np.float32)
 

@@ -17,7 +17,15 @@ from footfall.models.pacer.walker_env import WalkerEnv
 from footfall.models.pacer.walker_observation import Mirror, Motion, People, clearance, observe
 from footfall.models.pacer.walker_rewards import slip_speed
 
-SMALL = replace(CONFIGS["compact"], worlds=6, people=3, physics=Physics(threads=1), push_interval=0.0)
+SMALL = replace(
+    CONFIGS["compact"],
+    company=1,
+    course=None,
+    worlds=6,
+    people=3,
+    physics=Physics(threads=1),
+    push_interval=0.0,
+)
 
 
 def straight(count, speed, duration=16.0):

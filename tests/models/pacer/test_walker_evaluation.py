@@ -18,6 +18,8 @@ from footfall.tools import cli, train_pacer
 
 SMALL = replace(
     CONFIGS["compact"],
+    company=1,
+    course=None,
     worlds=8,
     people=2,
     physics=Physics(threads=1),

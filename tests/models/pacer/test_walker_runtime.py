@@ -15,6 +15,8 @@ from footfall.models.pacer.walker_env import WalkerEnv
 
 SMALL = replace(
     CONFIGS["compact"],
+    company=1,
+    course=None,
     worlds=4,
     people=4,
     physics=Physics(threads=1),
