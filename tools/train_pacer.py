@@ -4,7 +4,7 @@
 
 Run it again with the same `--out` to go on where it stopped; settings may change on the way. Besides the files of
 every policy's training (`tools/train_policy.py`) the folder holds `style.safetensors` (the discriminator, if there
-is one).
+is one) and a film of every milestone.
 """
 
 import argparse
@@ -19,6 +19,7 @@ from ..models.pacer.walker_env import WalkerEnv
 from ..models.pacer.walker_observation import WAYPOINTS
 from ..models.pacer.walker_training import WalkerTraining
 from ..models.pacer.walker_weights import grown
+from ..models.render.gl import RenderError
 from ..models.trace.weights import load_tensors
 from .train_policy import PolicyRun, TrainingError, add_policy_arguments, given_settings, train
 
@@ -36,6 +37,12 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--style", type=float, help="share of the style reward; needs --motions")
     parser.add_argument(
         "--motions", type=Path, default=Path("data/motions.npz"), help="motion capture library"
+    )
+    parser.add_argument(
+        "--film-every",
+        type=float,
+        default=5e6,
+        help="control steps between films; 0 for none (default %(default)g)",
     )
     add_policy_arguments(parser, 60e6)
     parser.set_defaults(run=run)
@@ -83,10 +90,29 @@ class WalkerRun(PolicyRun):
         if args.init:
             self._begin_with(args, training)
         super().__init__(args, args.out or Path("runs") / f"pacer_{args.config}", training, config)
+        every = args.film_every or float("inf")
+        self._next_film = (training.samples // every + 1) * every
         self.say(
             f"{len(env)} worlds of {len(env.world.bodies)} bodies, {ranks.count()} processes; "
             f"from sample {training.samples:,}"
         )
+
+    def between(self) -> None:
+        """Film six walkers at every milestone."""
+        every, samples = self.args.film_every, self.training.samples
+        if not every or samples < self._next_film:
+            return
+        self._next_film = (samples // every + 1) * every
+        if ranks.number():
+            return
+        from .pacer_pictures import record
+
+        path = self.folder / f"film_{samples / 1e6:.0f}M.mp4"
+        try:
+            record(self.training.model, self.config, seconds=8.0, seed=self.args.seed).draw(path)
+        except RenderError as error:
+            self.say(f"no films: {error}")
+            self._next_film = float("inf")
 
     @staticmethod
     def _begin_with(args: argparse.Namespace, training: WalkerTraining) -> None:

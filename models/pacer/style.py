@@ -198,11 +198,12 @@ class StyleLearner:
             return {}
         normalizer = self.discriminator.normalizer
         figures: list[dict[str, float]] = []
+        batch = max(config.batch // ranks.count(), 1)
         for _ in range(config.steps):
-            demo = torch.from_numpy(self.demos.sample(config.batch, rng))
-            new = windows[rng.integers(len(windows), size=config.batch)]
+            demo = torch.from_numpy(self.demos.sample(batch, rng))
+            new = windows[rng.integers(len(windows), size=batch)]
             old = self._memory if len(self._memory) else windows
-            old = old[rng.integers(len(old), size=config.batch)]
+            old = old[rng.integers(len(old), size=batch)]
             fake = torch.from_numpy(np.concatenate([new, old]))
             normalizer.observe(ranks.gathered(torch.cat([demo, fake])))
             loss, seen = self.discriminator.loss(demo, fake)

@@ -51,9 +51,9 @@ class StyleConfig:
     logit_cost: float = 0.01
     """Of the last layer's squared weights."""
     weight_decay: float = 1e-4
-    batch: int = 1024
-    """Windows of each kind per step: motion capture, new, remembered."""
-    steps: int = 4
+    batch: int = 512
+    """Windows of each kind per step, of all processes: motion capture, new, remembered."""
+    steps: int = 2
     """Descent steps per update."""
     memory: int = 50_000
     """Windows of the walker that are remembered."""
