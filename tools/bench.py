@@ -1,7 +1,10 @@
 """`footfall bench`: measurements that stand in the documentation, one verb each."""
 
 import argparse
+import signal
 from importlib import import_module
+from types import FrameType
+from typing import NoReturn
 
 BENCHES = {
     "bus": ("bench_bus", "round trips and throughput of the bus beside raw pyzmq and other buses"),
@@ -28,5 +31,10 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run one bench."""
+    """Run one bench; SIGTERM ends it as Ctrl-C does, with whatever it has launched."""
+    signal.signal(signal.SIGTERM, _end)
     return import_module(f"{__package__}.{BENCHES[args.bench][0]}").run(args)
+
+
+def _end(number: int, frame: FrameType | None) -> NoReturn:
+    raise SystemExit(128 + number)
