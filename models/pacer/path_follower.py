@@ -30,6 +30,8 @@ class FollowerLimits:
     """m/s."""
     sideways: float = 0.4
     """m/s: fastest side and back step."""
+    pull: float = 0.3
+    """m: the farthest that people are told the path is from the follower."""
     leash: float = 0.25
     """m: how far the person may be from the follower before it comes along."""
     leash_rate: float = 3.0
@@ -68,6 +70,19 @@ class PathFollower:
         """Put followers (n,) at positions (n, 2), walking at speeds (n,) along headings (n,)."""
         self.position[ids], self.heading[ids], self.turn_rate[ids] = position, heading, 0.0
         self.velocity[ids] = speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
+
+    def holds_back(self, targets: Array) -> Array:
+        """How far (N, 2), m, a path is to be moved so that people follow this point where it is held up.
+
+        Obstacles and others keep the follower from the path; who then went by the path would run into them. The
+        path is moved towards the follower until it is no farther than `FollowerLimits.pull` from it.
+
+        Args:
+            targets: (N, 2) m, world: where the path is now.
+        """
+        gap = self.position - targets
+        distance = np.linalg.norm(gap, axis=-1, keepdims=True)
+        return gap * np.maximum(1.0 - self.limits.pull / np.maximum(distance, 1e-9), 0.0)
 
     def advance(self, aims: Array, people: Array, dt: float) -> None:
         """Walk on for `dt` s.

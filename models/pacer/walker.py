@@ -179,7 +179,7 @@ class Walker:
             motion,
             people,
             reference,
-            paths.waypoints(times),
+            paths.waypoints(times) + reference.follower.holds_back(paths.at(times))[:, None],
             clear,
             self.hinges,
             self.config.body_aware,

@@ -32,7 +32,7 @@ _JITTER = (0.02, 0.05)  # rad and rad/s: spread of initial joint angles and velo
 _STOPS = 0.2  # share of paths with a stop on the way
 _STAYS = 0.3  # share of those at rest who stay there
 _PUSH = 0.2  # s
-_TOUCH = 0.35  # m between two pelvises: less is a collision
+_TOUCH, _TOUCH_WALL = 0.4, 0.22  # m between two pelvises, or to an obstacle: less is a collision
 _TOGETHER = 3.0  # m within which company begins
 _CHEST = 1 + BODY_INDEX["Chest"]
 
@@ -101,6 +101,7 @@ class WalkerEnv:
         self.period = config.physics.control_period
         self.height_at = terrain.height_at if terrain else flat_ground
         self._seen_heights = seen_heights(self.height_at, obstacles)
+        self._outlines = [np.asarray(obstacle.polygon, dtype=float) for obstacle in obstacles]
         self.company = np.arange(count) // config.company
         """(N,) who is near whom: worlds of one number show people to each other."""
         manners = Manners(int(self.company[-1]) + 1, obstacles) if config.manners else None
@@ -172,7 +173,8 @@ class WalkerEnv:
 
     def observe(self) -> Floats:
         """Observations (N, size) of the present state, in a mirror where the right foot leads."""
-        waypoints = self.paths.waypoints(self.times)
+        moved = self.reference.follower.holds_back(self.paths.at(self.times))
+        waypoints = self.paths.waypoints(self.times) + moved[:, None]
         seen = observe(
             self.motion,
             self.people,
@@ -241,6 +243,7 @@ class WalkerEnv:
         actions = self.unmirrored(actions)
         power = self.advance(actions)
         targets = self.paths.at(self.times)
+        targets += self.reference.follower.holds_back(targets)
         spin_gap = self.motion.spin.copy()
         spin_gap[:, 2] -= self.reference.follower.turn_rate
         errors = reward_errors(
@@ -258,7 +261,7 @@ class WalkerEnv:
         rewards, terms = weigh(errors, self.config.rewards)
         fell = self.fallen() | ~np.isfinite(rewards)
         strayed = ~fell & ~(errors["path"] < self.config.lost**2)
-        bumped = ~(fell | strayed) & (self.nearest() < _TOUCH)
+        bumped = ~(fell | strayed) & ((self.nearest() < _TOUCH) | (self._free() < _TOUCH_WALL))
         failed = fell | strayed | bumped
         cut = ~failed & (self.age >= self.config.episode)
         self.lead()
@@ -343,14 +346,17 @@ class WalkerEnv:
             there[i], present[i] = places[row], True
         return places
 
+    def _free(self) -> Array:
+        """Distance (N,), m, of people from obstacles."""
+        return signed_distance(self._outlines, self.motion.positions[:, 0, :2])
+
     def _room(self, spots: Array) -> Array:
         """Distance (n,), m, of places (n, 2) from obstacles; 0 off the course's tiles."""
         assert self.course is not None
         s = self.course.settings
         size = s.tile * np.array([s.columns, s.levels])
         outside = ((spots < 0.0) | (spots > size)).any(1)
-        outlines = [np.asarray(obstacle.polygon) for obstacle in self.course.obstacles]
-        return np.where(outside, 0.0, signed_distance(outlines, spots))
+        return np.where(outside, 0.0, signed_distance(self._outlines, spots))
 
     def starts(self, count: int) -> Array:
         """Places (n, 2) to begin at, m: the middles of tiles no harder than the present difficulty."""

@@ -130,3 +130,20 @@ def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> TinyRun:
     summary = run.json("launch", "yard.yaml", "--record", run.log)
     assert summary["first_failure"] is None and summary["dropped"] == 0
     return run
+
+
+@pytest.fixture(scope="session")
+def footfall():
+    """Runs a command; returns what it printed on standard output, or on standard error where it ought to fail."""
+
+    def run(*arguments: object, code: int = 0) -> str:
+        done = subprocess.run(
+            [sys.executable, "-m", "footfall.tools.cli", *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            timeout=600,
+        )
+        assert done.returncode == code, done.stderr
+        return done.stderr if code else done.stdout
+
+    return run
