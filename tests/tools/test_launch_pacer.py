@@ -8,8 +8,7 @@ pytestmark = pytest.mark.slow
 
 
 def launch(footfall, log):
-    setting = ("--set", "count=4", "--set", "controller=pacer", "--set", "mode=physics")
-    out = footfall("launch", "crossing", "--duration", "5", "--record", log, "--json", *setting)
+    out = footfall("launch", "physics", "--duration", "5", "--record", log, "--json", "--set", "count=4")
     return json.loads(out.splitlines()[-1])
 
 
