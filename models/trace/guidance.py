@@ -73,6 +73,8 @@ class Guidance:
         return step * (self.limit / size.clamp(min=self.limit))
 
 
+_LEAST_PACE = 0.02  # careful steps shorter than this share of a whole one are not worth taking
+
 FutureOf = Callable[[Tensor], Future]
 
 
@@ -106,17 +108,22 @@ def guide_direct(
                     actions = clean.detach().requires_grad_()
                     future = future_of(actions)
                 loss = wish.loss(future)
-                if not (loss > guidance.met).any():
+                if not ((loss > guidance.met) & (pace[i] > _LEAST_PACE)).any():
                     continue  # nothing moved: the next objective looks at the same future
                 gradient = gradient_of(loss, actions)
             length = (wish.share * pace[i])[..., None, None]
             moved = clean - length * guidance.step(loss.detach(), gradient, variance)
+            future = None
             if careful:
-                with torch.no_grad():
-                    better = wish.loss(future_of(moved)) < loss
-                moved = torch.where(better[..., None, None], moved, clean)
-                pace[i] = torch.where(better, pace[i], pace[i] / 4)
-            clean, future = moved, None
+                with torch.enable_grad():
+                    actions = moved.detach().requires_grad_()
+                    future = future_of(actions)
+                    better = wish.loss(future).detach() < loss.detach()
+                if not better.all():
+                    future = None
+                    moved = torch.where(better[..., None, None], moved, clean)
+                    pace[i] = torch.where(better, pace[i], pace[i] / 4)
+            clean = moved
         if clean is before:
             break
     return clean.detach()
