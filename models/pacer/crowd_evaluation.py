@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 Setting = Literal["obstacles", "crowd"]
 
-SIDE: dict[str, float] = {"obstacles": 40.0, "crowd": 15.0}
+SIDE: dict[str, float] = {"obstacles": 40.0, "crowd": 20.0}
 """m: side of the square in which people begin."""
 BOXES = 64
 """Obstacles in their square: one on 25 m^2."""

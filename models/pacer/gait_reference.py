@@ -73,7 +73,7 @@ class GaitReference:
         self._people, self._gait.state = self._people[rows], self._gait.state[rows]
         for owner, names in (
             (self, ("root", "joints", "velocity", "rates")),
-            (follower, ("position", "velocity", "heading", "turn_rate", "radius")),
+            (follower, ("position", "velocity", "heading", "turn_rate", "radius", "bend")),
         ):
             for name in names:
                 setattr(owner, name, getattr(owner, name)[rows])
@@ -85,7 +85,11 @@ class GaitReference:
         self._gait.state = np.concatenate([self._gait.state, other._gait.state])
         for mine, theirs, names in (
             (self, other, ("root", "joints", "velocity", "rates")),
-            (self.follower, other.follower, ("position", "velocity", "heading", "turn_rate", "radius")),
+            (
+                self.follower,
+                other.follower,
+                ("position", "velocity", "heading", "turn_rate", "radius", "bend"),
+            ),
         ):
             for name in names:
                 setattr(mine, name, np.concatenate([getattr(mine, name), getattr(theirs, name)]))

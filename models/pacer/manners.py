@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 _MARGIN = 0.18  # m around bodies: for swinging arms and feet, and for what a body lags behind its follower
 _NEAR = 4.0  # m within which others count
-_FORESIGHT, _FORESIGHT_OBSTACLES = 2.0, 1.0  # s
+_FORESIGHT, _FORESIGHT_OBSTACLES = 3.0, 2.0  # s
 _HOLD = 0.2  # s for which a choice must be safe
 
 

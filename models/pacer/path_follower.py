@@ -11,6 +11,8 @@ from .manners import Manners
 
 Array = NDArray[np.float64]
 
+_BEND_TIME = 0.2  # s
+
 
 @dataclass(frozen=True)
 class FollowerLimits:
@@ -30,7 +32,7 @@ class FollowerLimits:
     """m/s."""
     sideways: float = 0.4
     """m/s: fastest side and back step."""
-    pull: float = 0.3
+    pull: float = 0.15
     """m: the farthest that people are told the path is from the follower."""
     leash: float = 0.25
     """m: how far the person may be from the follower before it comes along."""
@@ -60,6 +62,8 @@ class PathFollower:
         """(N,) rad."""
         self.turn_rate: Array = np.zeros(count)
         """(N,) rad/s."""
+        self.bend: NDArray[np.complex128] = np.ones(count, dtype=complex)
+        """(N,) by which manners multiply what is wanted, x + iy."""
 
     @property
     def speed(self) -> Array:
@@ -69,20 +73,38 @@ class PathFollower:
     def place(self, ids: NDArray[np.intp], position: Array, heading: Array, speed: Array) -> None:
         """Put followers (n,) at positions (n, 2), walking at speeds (n,) along headings (n,)."""
         self.position[ids], self.heading[ids], self.turn_rate[ids] = position, heading, 0.0
+        self.bend[ids] = 1.0
         self.velocity[ids] = speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
 
-    def holds_back(self, targets: Array) -> Array:
-        """How far (N, 2), m, a path is to be moved so that people follow this point where it is held up.
+    def near(self, targets: Array) -> Array:
+        """Where people (N, 2), m, are told that their paths are now, so that they follow this point if need be.
 
-        Obstacles and others keep the follower from the path; who then went by the path would run into them. The
-        path is moved towards the follower until it is no farther than `FollowerLimits.pull` from it.
+        Obstacles and others keep the follower from the path; who then went by the path would run into them. It is
+        moved towards the follower until it is no farther than `FollowerLimits.pull` from it.
 
         Args:
-            targets: (N, 2) m, world: where the path is now.
+            targets: (N, 2) m, world: where the paths are now.
         """
         gap = self.position - targets
         distance = np.linalg.norm(gap, axis=-1, keepdims=True)
-        return gap * np.maximum(1.0 - self.limits.pull / np.maximum(distance, 1e-9), 0.0)
+        return targets + gap * np.maximum(1.0 - self.limits.pull / np.maximum(distance, 1e-9), 0.0)
+
+    def told(self, targets: Array, waypoints: Array) -> Array:
+        """Waypoints (N, W, 2), m, world, as people are told them: turned and slowed as manners turn and slow now.
+
+        Args:
+            targets: (N, 2) m, world: where the paths are now.
+            waypoints: (N, W, 2) m, world: where they lead.
+        """
+        ahead = (waypoints - targets[:, None]) @ np.array([1.0, 1.0j]) * self.bend[:, None]
+        return self.near(targets)[:, None] + np.stack([ahead.real, ahead.imag], -1)
+
+    def _bend(self, wanted: Array, chosen: Array, dt: float) -> None:
+        """Remember by what factor and angle manners change velocities, smoothed."""
+        before, after = wanted @ np.array([1.0, 1.0j]), chosen @ np.array([1.0, 1.0j])
+        slow = np.abs(before) < 0.1
+        bend = np.where(slow, 1.0, after / np.where(slow, 1.0, before))
+        self.bend = self.bend + (bend - self.bend) * min(dt / _BEND_TIME, 1.0)
 
     def advance(self, aims: Array, people: Array, dt: float) -> None:
         """Walk on for `dt` s.
@@ -102,7 +124,9 @@ class PathFollower:
         pace = np.linalg.norm(wanted, axis=-1, keepdims=True)
         wanted *= np.minimum(1.0, limits.fastest / np.maximum(pace, 1e-9))
         if self.manners:
-            wanted = self.manners.choose(wanted, people, self.velocity, self.radius, limits.fastest)
+            chosen = self.manners.choose(wanted, people, self.velocity, self.radius, limits.fastest)
+            self._bend(wanted, chosen, dt)
+            wanted = chosen
         self._turn(wanted, dt)
         cos, sin = np.cos(self.heading), np.sin(self.heading)
         ahead = cos * wanted[:, 0] + sin * wanted[:, 1]

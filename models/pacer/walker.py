@@ -179,7 +179,7 @@ class Walker:
             motion,
             people,
             reference,
-            paths.waypoints(times) + reference.follower.holds_back(paths.at(times))[:, None],
+            reference.follower.told(paths.at(times), paths.waypoints(times)),
             clear,
             self.hinges,
             self.config.body_aware,

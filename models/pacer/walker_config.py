@@ -18,7 +18,7 @@ class WalkerRewards:
 
     path: tuple[float, float] = (0.20, 8.0)
     """Squared distance from the path, m^2 (PACER, app. B.2, where the sharpness is 2)."""
-    place: tuple[float, float] = (0.15, 20.0)
+    place: tuple[float, float] = (0.10, 20.0)
     """Squared distance of the pelvis from the gait's, m^2."""
     upright: tuple[float, float] = (0.10, 8.0)
     """Squared angle between the pelvis and the gait's, rad^2."""
@@ -28,7 +28,7 @@ class WalkerRewards:
     """Squared difference of the pelvis' velocity from the gait's, m^2/s^2, and (x 0.1) its spin, rad^2/s^2."""
     contacts: tuple[float, float] = (0.05, 3.0)
     """Share of heels and balls that stand when they should not or hang when they should stand."""
-    skate: tuple[float, float] = (0.15, 6.0)
+    skate: tuple[float, float] = (0.20, 8.0)
     """Mean speed of sole points that touch the ground, m/s."""
     effort: tuple[float, float] = (0.05, 0.12)
     """Mechanical power of the drives per body mass, W/kg (PACER's energy penalty, app. B.2)."""

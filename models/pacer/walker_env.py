@@ -173,8 +173,8 @@ class WalkerEnv:
 
     def observe(self) -> Floats:
         """Observations (N, size) of the present state, in a mirror where the right foot leads."""
-        moved = self.reference.follower.holds_back(self.paths.at(self.times))
-        waypoints = self.paths.waypoints(self.times) + moved[:, None]
+        follower, times = self.reference.follower, self.times
+        waypoints = follower.told(self.paths.at(times), self.paths.waypoints(times))
         seen = observe(
             self.motion,
             self.people,
@@ -242,8 +242,7 @@ class WalkerEnv:
         """Let one control step pass, judge it, and begin anew where an episode ended."""
         actions = self.unmirrored(actions)
         power = self.advance(actions)
-        targets = self.paths.at(self.times)
-        targets += self.reference.follower.holds_back(targets)
+        targets = self.reference.follower.near(self.paths.at(self.times))
         spin_gap = self.motion.spin.copy()
         spin_gap[:, 2] -= self.reference.follower.turn_rate
         errors = reward_errors(
@@ -260,7 +259,8 @@ class WalkerEnv:
         self._before = np.array(actions, dtype=float)
         rewards, terms = weigh(errors, self.config.rewards)
         fell = self.fallen() | ~np.isfinite(rewards)
-        strayed = ~fell & ~(errors["path"] < self.config.lost**2)
+        offsets = self.offsets
+        strayed = ~fell & ~(offsets < self.config.lost)
         bumped = ~(fell | strayed) & ((self.nearest() < _TOUCH) | (self._free() < _TOUCH_WALL))
         failed = fell | strayed | bumped
         cut = ~failed & (self.age >= self.config.episode)
@@ -274,7 +274,7 @@ class WalkerEnv:
         self._history.forget(ended)
         means = {f"term_{name}": float(np.nan_to_num(term).mean()) for name, term in terms.items()}
         means |= {
-            "path_error": float(np.sqrt(np.nan_to_num(errors["path"])).mean()),
+            "path_error": float(np.nan_to_num(offsets).mean()),
             "skate": float(np.nan_to_num(self.slip).mean()),
             "power": float(np.nan_to_num(power).mean()),
             "fell": float(fell.sum()),
