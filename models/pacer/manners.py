@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 _MARGIN = 0.18  # m around bodies: for swinging arms and feet, and for what a body lags behind its follower
 _NEAR = 4.0  # m within which others count
 _FORESIGHT, _FORESIGHT_OBSTACLES = 3.0, 2.0  # s
+_STUCK = 0.5  # share of the wanted speed below which a way round is looked for
+_ASIDE, _DETOUR = np.radians(80.0), 1.0  # turn, and m/s at most, on the way round
 _HOLD = 0.2  # s for which a choice must be safe
 
 
@@ -32,8 +34,12 @@ class Manners:
         outlines = [np.asarray(obstacle.polygon, dtype=float) for obstacle in obstacles]
         self._obstacles = ConvexObstacles.from_polygons([outlines] * scenes) if outlines else None
 
-    def choose(self, wanted: Array, places: Array, velocities: Array, radii: Array, fastest: float) -> Array:
+    def choose(
+        self, wanted: Array, places: Array, velocities: Array, radii: Array, fastest: float, bend: Array
+    ) -> Array:
         """Velocities (N, 2), m/s, nearest to the wanted ones that bump into nobody and nothing for a while.
+
+        Who would have to stop goes aside instead, to the side they have begun to turn to.
 
         Args:
             wanted: (N, 2) m/s.
@@ -41,10 +47,11 @@ class Manners:
             velocities: (N, 2) m/s, now.
             radii: (N,) m of bodies.
             fastest: m/s.
+            bend: (N,) turn to the left, of any unit, that manners have lately made of what was wanted.
         """
-        shape = (self._scenes, -1)
         if self._obstacles is None and len(places) == self._scenes:
             return wanted  # everybody is alone in the open
+        shape = (self._scenes, -1)
         params = OrcaParams(
             radius=radii.reshape(shape) + _MARGIN,
             max_speed=fastest,
@@ -53,13 +60,24 @@ class Manners:
             time_horizon=_FORESIGHT,
             time_horizon_obst=_FORESIGHT_OBSTACLES,
         )
-        three = (*shape, 2)
-        chosen = orca_velocity(
-            places.reshape(three),
-            velocities.reshape(three),
-            wanted.reshape(three),
-            _HOLD,
-            params,
-            self._obstacles,
+
+        def safe(preferred: Array) -> Array:
+            three = (*shape, 2)
+            states = places.reshape(three), velocities.reshape(three), preferred.reshape(three)
+            return orca_velocity(*states, _HOLD, params, self._obstacles).reshape(-1, 2)
+
+        chosen = safe(wanted)
+        pace = np.linalg.norm(wanted, axis=-1)
+        stuck = (np.linalg.norm(chosen, axis=-1) < _STUCK * pace) & (pace > 0.3)
+        if not stuck.any():
+            return chosen
+        to_left = wanted[:, 0] * chosen[:, 1] - wanted[:, 1] * chosen[:, 0] + pace * pace * bend
+        angle = np.where(to_left > 0.0, _ASIDE, -_ASIDE)
+        cos, sin = np.cos(angle), np.sin(angle)
+        aside = np.stack(
+            [cos * wanted[:, 0] - sin * wanted[:, 1], sin * wanted[:, 0] + cos * wanted[:, 1]], -1
         )
-        return chosen.reshape(-1, 2)
+        aside *= (_DETOUR / np.maximum(pace, _DETOUR))[:, None]
+        round_it = safe(np.where(stuck[:, None], aside, wanted))
+        better = np.linalg.norm(round_it, axis=-1) > np.linalg.norm(chosen, axis=-1)
+        return np.where((stuck & better)[:, None], round_it, chosen)

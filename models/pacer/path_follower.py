@@ -124,7 +124,8 @@ class PathFollower:
         pace = np.linalg.norm(wanted, axis=-1, keepdims=True)
         wanted *= np.minimum(1.0, limits.fastest / np.maximum(pace, 1e-9))
         if self.manners:
-            chosen = self.manners.choose(wanted, people, self.velocity, self.radius, limits.fastest)
+            bend = self.bend.imag
+            chosen = self.manners.choose(wanted, people, self.velocity, self.radius, limits.fastest, bend)
             self._bend(wanted, chosen, dt)
             wanted = chosen
         self._turn(wanted, dt)
