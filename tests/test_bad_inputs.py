@@ -51,6 +51,14 @@ CASES = {
         "did you mean 'method'",
     ),
     "a setting out of range": (["launch", "crossing", "--set", "planner.rate_hz=0"], "rate_hz"),
+    "a walker without physics": (
+        ["launch", "crossing", "--set", "controller=pacer", "--set", "count=2"],
+        "takes mode: physics",
+    ),
+    "weights that are not there": (
+        ["launch", "physics", "--set", "controller.weights=nowhere.safetensors"],
+        "there are no weights at nowhere.safetensors",
+    ),
     "two publishers of one topic": (["launch", "two.yaml"], "nodes planner and second both publish it"),
     "a topic nobody publishes": (["launch", "silent.yaml"], "map"),
     "a port the node does not have": (["launch", "port.yaml"], "did you mean 'plans'"),
