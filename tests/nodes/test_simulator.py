@@ -106,7 +106,7 @@ def test_a_kinematic_body_is_where_its_action_puts_it(inbox_of):
     turned = [np.cos(0.4), 0, 0, np.sin(0.4)]
     states = world.tick(act([0], [[1, 2, 0.9, *turned]]))[BODY_STATES]
     assert states.joints[0, 0, :7] == pytest.approx([1, 2, 0.9, *turned], abs=1e-5)
-    assert states.linear_velocities[0, 0, :2] == pytest.approx([30, 60], rel=1e-4)
+    assert states.linear_velocities[0, 0, :2] == pytest.approx([30, 60], rel=1e-3)  # who stands sways
 
 
 def test_touching_an_obstacle_or_somebody_is_told(inbox_of):
