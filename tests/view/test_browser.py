@@ -99,7 +99,7 @@ def test_a_log_is_played_in_a_browser(browser, run_log):
         page.close()
     finally:
         process.send_signal(signal.SIGINT)
-        process.communicate(timeout=20)
+        process.communicate(timeout=60)
     assert process.returncode == 130
 
 
