@@ -16,10 +16,10 @@ from ..messages.config import ConfigError
 from ..messages.topics import AGENTS, BODIES, BODY_ACTIONS, BODY_STATES, MAP, PLANS, Outgoing
 from ..models.body import Body, describe
 from ..models.gait import flat_ground
-from ..models.scene import Obstacle, Terrain
 from .controller_gait import GaitMethod
 from .controller_method import Attendance, Method
 from .node import Inbox, Node, NodeConfig
+from .place_solids import solids_of
 from .spin import spin
 
 TICK = 1 / 30
@@ -67,10 +67,7 @@ class Controller(Node[Config]):
             shapes = bodies.shapes.astype(np.float64)
             self._bodies = {i: describe(shape) for i, shape in zip(bodies.ids.tolist(), shapes, strict=True)}
         if inbox.new(MAP) or not self._grounded:
-            place = inbox.require(MAP)
-            terrain = place.terrain
-            ground = terrain and Terrain(np.array(terrain.heights), terrain.resolution, terrain.origin)
-            obstacles = [Obstacle(o.name, np.array(o.polygon), o.height) for o in place.obstacles]
+            obstacles, ground = solids_of(inbox.require(MAP))
             self._method.ground(ground.height_at if ground else flat_ground, obstacles)
             self._grounded = True
         method = self._method

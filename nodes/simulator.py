@@ -34,10 +34,9 @@ from ..messages.topics import (
 from ..models.body import Body, describe
 from ..models.body.rotations import yaw
 from ..models.pacer.gait_reference import GaitReference
-from ..models.scene import Terrain
-from ..models.scene.file import Obstacle
 from ..models.world import World, WorldError
 from .node import Inbox, Node, NodeConfig
+from .place_solids import solids_of
 from .spin import spin
 
 log = logging.getLogger(__name__)
@@ -119,11 +118,9 @@ class Simulator(Node[Config]):
 
     def _build(self, semantic_map: SemanticMap) -> World:
         """The world of a map; people in the old one keep their poses."""
-        terrain = semantic_map.terrain
         world = World(
             self._bodies,
-            [Obstacle(o.name, np.array(o.polygon), o.height) for o in semantic_map.obstacles],
-            terrain and Terrain(np.array(terrain.heights), terrain.resolution, terrain.origin),
+            *solids_of(semantic_map),
             mode=self.config.mode,
             actuation=self.config.actuation,
             timestep=1 / self.config.physics_rate_hz,

@@ -63,18 +63,16 @@ def film(
     from ..models.body import describe
     from ..models.render.renderer import CrowdRenderer
     from ..models.render.video import write_video
-    from ..models.scene import Obstacle, Terrain
+    from ..nodes.place_solids import solids_of
 
     place, bodies, states, overlays = read_film(log_path, start, duration, rate_hz)
-    terrain = place.terrain
     with CrowdRenderer(
         [describe(shape) for shape in bodies.shapes.astype(np.float64)],
-        [Obstacle(o.name, np.array(o.polygon), o.height) for o in place.obstacles],
-        terrain and Terrain(np.array(terrain.heights), terrain.resolution, terrain.origin),
+        *solids_of(place),
         width=size[0],
         height=size[1],
         shadows=shadows,
-        ground=None if terrain else painted_ground(place),
+        ground=None if place.terrain else painted_ground(place),
     ) as renderer:
         whom = most_present(states) if follow is None else follow
         rows = {agent: row for row, agent in enumerate(bodies.ids.tolist())}
@@ -82,7 +80,7 @@ def film(
         def frames() -> Iterator[np.ndarray]:
             for state, overlay in zip(states, overlays, strict=True):
                 agents = [rows[agent] for agent in state.ids.tolist()]
-                strokes = strokes_of(overlay, state, terrain) if plans else []
+                strokes = strokes_of(overlay, state, place.terrain) if plans else []
                 yield renderer.render(
                     state.joints[..., :7], viewpoint(camera, place, state, whom), agents, strokes
                 )

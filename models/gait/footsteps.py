@@ -23,7 +23,8 @@ _SETTLE_DISTANCE, _SETTLE_TURN = 0.03, 0.12  # and the error below which steppin
 _WALK_SPEED = 0.06  # m/s: slower counts as standing
 _FEET_APART = 0.10  # m: least lateral distance of a foothold from the other foot
 _LIFT = 0.04  # share of a swing at its ends in which the foot goes only up or down
-_HARDEST_BEND = 2.5  # m/s^2: bends beyond are not leaned into any further
+HARDEST_LEAN = 2.5
+"""m/s^2: accelerations beyond are not leaned into any further."""
 _RISE_PER_STEP = 0.19  # m: a tall tread
 _PATH = np.array([0.2, 0.35, 0.5, 0.65, 0.8])  # shares of a swing at which it must clear the ground
 
@@ -216,7 +217,7 @@ def _aim(s: State, heading: Array, psi: Array, duration: Array, support: Array, 
 
 def centripetal(s: State) -> Array:
     """Acceleration (n,), m/s^2, to the left that keeps walkers on the present bend."""
-    return np.clip(s["speed"] * s["turn_rate"], -_HARDEST_BEND, _HARDEST_BEND)
+    return np.clip(s["speed"] * s["turn_rate"], -HARDEST_LEAN, HARDEST_LEAN)
 
 
 def _swing(s: State, swinging: NDArray[np.bool_], height_at: HeightAt) -> None:

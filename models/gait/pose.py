@@ -21,7 +21,6 @@ _MAX_ROLL = np.radians(75.0)  # of a standing foot on its toes
 _TOE_BEND = np.radians(50.0)
 _ANKLE_RANGE = JOINT_LIMITS[JOINT_INDEX["L_Ankle_y"]] + np.radians([1.0, -1.0])
 _RISE_RATE = 0.5  # m/s: fastest recovery of the pelvis from a long step
-_HARDEST_LEAN = 2.5  # m/s^2: accelerations beyond are not leaned into any further
 _SOFT = 0.006  # m: rounding of the pelvis' path where a leg's reach begins to bind
 
 
@@ -54,7 +53,7 @@ def lean(s: State) -> Array:
     Who turns left leans to the left, who speeds up leans ahead; feet are put down accordingly.
     """
     sideways = footsteps.centripetal(s)
-    ahead = np.clip(s["acceleration"], -_HARDEST_LEAN, _HARDEST_LEAN)
+    ahead = np.clip(s["acceleration"], -footsteps.HARDEST_LEAN, footsteps.HARDEST_LEAN)
     return np.stack([-np.arctan(sideways / norms.GRAVITY), 0.5 * np.arctan(ahead / norms.GRAVITY)], -1)
 
 

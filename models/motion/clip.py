@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from ..body.rotations import yaw
 from ..body.skeleton import BODY_NAMES, N_JOINTS
 from .recording import MotionFormatError, about
 
@@ -72,8 +73,7 @@ class Clip:
 
     def heading(self) -> Array:
         """Heading (T,) of the pelvis, rad, continuous."""
-        _, qw, qx, qy, qz = np.moveaxis(self.root[:, 2:], -1, 0)
-        return np.unwrap(np.arctan2(2 * (qx * qy + qw * qz), 1 - 2 * (qy * qy + qz * qz)))
+        return np.unwrap(yaw(self.root[:, 3:]))
 
     @property
     def speed(self) -> float:

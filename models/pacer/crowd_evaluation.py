@@ -111,9 +111,7 @@ def _one_world(
         world.set_targets(ids, walker.step(states, ways, now))
         world.advance(period)
         after = Motion.of_states(world.joint_states(ids), walker.hinges)
-        offsets = np.linalg.norm(
-            after.positions[:, 0, :2] - Paths(paths.vertices[ids], paths.duration).at(now + period), axis=1
-        )
+        offsets = np.linalg.norm(after.positions[:, 0, :2] - ways.at(now + period), axis=1)
         fell = fallen(after, measurement.people.take(ids), flat_ground)
         hit = _hits(world, count)[ids]
         failed = fell | hit | ~(offsets < LOST)
@@ -128,7 +126,7 @@ def _one_world(
 def _enter(world: World, walker: Walker, bodies: list[Body], paths: Paths, headings: Array) -> None:
     """Put everybody in mid-stride at the beginning of their path."""
     count = len(bodies)
-    speeds = np.linalg.norm(paths.vertices[:, 1] - paths.vertices[:, 0], axis=1) / paths.spacing
+    speeds = paths.first_speeds
     everyone = np.arange(count)
     gait = GaitReference(bodies, walker.period)
     poses = gait.place(everyone, paths.vertices[:, 0], headings, speeds, np.where(everyone % 2, 0.5, 0.0))

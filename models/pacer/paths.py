@@ -68,6 +68,11 @@ class Paths:
         """Time between two vertices, s."""
         return self.duration / (self.vertices.shape[1] - 1)
 
+    @property
+    def first_speeds(self) -> Array:
+        """Speeds (N,), m/s, along the first stretches."""
+        return np.linalg.norm(self.vertices[:, 1] - self.vertices[:, 0], axis=1) / self.spacing
+
     def at(self, times: ArrayLike) -> Array:
         """Positions (N, ..., 2) m at times (N, ...) s; beyond the ends, those of the ends."""
         times = np.asarray(times, dtype=float)

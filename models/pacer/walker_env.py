@@ -294,7 +294,7 @@ class WalkerEnv:
         headings = rng.uniform(-np.pi, np.pi, n)
         settings = config.easy_paths.towards(config.paths, self.difficulty)
         paths = sample_paths(self._starts(ids), headings, rng, settings)
-        speeds = np.linalg.norm(paths.vertices[:, 1] - paths.vertices[:, 0], axis=1) / paths.spacing
+        speeds = paths.first_speeds
         resting = rng.random(n) < config.standing
         stops = ~resting & (rng.random(n) < _STOPS)
         begins = np.where(resting, -10.0, np.where(stops, rng.uniform(0.5, 8.0, n), 1e3))

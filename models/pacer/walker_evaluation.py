@@ -269,7 +269,7 @@ def start_walks(env: WalkerEnv, seed: int) -> None:
     rng, n = np.random.default_rng(seed), len(env)
     headings = rng.uniform(-np.pi, np.pi, n)
     paths = sample_paths(env.starts(n), headings, rng, env.config.paths)
-    speeds = np.linalg.norm(paths.vertices[:, 1] - paths.vertices[:, 0], axis=1) / paths.spacing
+    speeds = paths.first_speeds
     resting = rng.random(n) < _RESTING
     paths = with_stops(paths, np.where(resting, -10.0, 1e4), np.where(resting, rng.uniform(0.2, 2.0, n), 1e4))
     everyone = np.arange(n)
