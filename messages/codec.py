@@ -140,12 +140,13 @@ class Codec(Generic[M]):
             MessageError: a field does not match its specification.
         """
         self._check(message)
-        self._frames = frames = []
-        buffer = self._buffer
+        buffer, frames = self._buffer, self._frames
         try:
             self._encoder.encode_into(message, buffer, Header.SIZE)
         except (TypeError, ValueError, OverflowError, RecursionError) as error:
             raise MessageError(self.topic, "", str(error)) from None
+        finally:
+            self._frames = []  # arrays live no longer than their message
         count = len(frames)
         if count > MAX_FRAMES:
             raise MessageError(self.topic, "frames", f"{count} large arrays, at most {MAX_FRAMES} fit")

@@ -299,11 +299,11 @@ class _Series:
     """What was measured of one transport at one size."""
 
     round_trips: list[float] = field(default_factory=list)
-    """One after the other, as fast as it goes [s]."""
+    """One after the other, as fast as it goes: median of each turn [s]."""
     paced: list[float] = field(default_factory=list)
-    """One a millisecond or slower, as nodes talk: everybody has gone to sleep in between [s]."""
+    """One a millisecond or slower, everybody having gone to sleep in between: median of each turn [s]."""
     rates: list[float] = field(default_factory=list)
-    """Messages a second."""
+    """Messages a second, by turn."""
 
 
 End = RawNear | OurNear | PeerNear
@@ -370,25 +370,34 @@ def _peer_facts(end: PeerNear, series: "dict[str, dict[str, _Series]]") -> dict[
         },
         "messages_per_second": {size: rate and round(rate, 1) for size, rate in rates.items()},
         "rtt_ratio": {
-            size: value and round(value / median(raw[size].round_trips), 3) for size, value in rtt.items()
+            size: value and _ratio(own[size].round_trips, raw[size].round_trips)
+            for size, value in rtt.items()
         },
         "throughput_ratio": {
-            size: rate and round(rate / median(raw[size].rates), 3) for size, rate in rates.items()
+            size: rate and _ratio(own[size].rates, raw[size].rates) for size, rate in rates.items()
         },
     }
 
 
+def _ratio(ours: list[float], raw: list[float]) -> float:
+    """Median over turns of ours by raw; what the machine does in a while meets both of a turn."""
+    return round(median(our / its for our, its in zip(ours, raw, strict=True)), 3)
+
+
 def _take_turn(end: "End", size: str, series: _Series, share: int) -> None:
     end.begin_turn()
-    for _ in range(max(3, ROUND_TRIPS[size] // TURNS // share)):
-        begin = perf_counter()
-        end.round_trip(size)
-        series.round_trips.append(perf_counter() - begin)
-    for _ in range(max(3, PACED // TURNS // share)):
-        sleep(1e-3)
-        begin = perf_counter()
-        end.round_trip(size)
-        series.paced.append(perf_counter() - begin)
+    for pause, count, times in (
+        (0.0, ROUND_TRIPS[size] // TURNS, series.round_trips),
+        (1e-3, PACED // TURNS, series.paced),
+    ):
+        taken = []
+        for _ in range(max(3, count // share)):
+            if pause:
+                sleep(pause)
+            begin = perf_counter()
+            end.round_trip(size)
+            taken.append(perf_counter() - begin)
+        times.append(median(taken))
     count = max(5, FLOODS[size] // TURNS // share)
     begin = perf_counter()
     end.flood(size, count)
@@ -399,15 +408,11 @@ def _take_turn(end: "End", size: str, series: _Series, share: int) -> None:
 def _summary(series: dict[str, dict[str, _Series]], ages: list[float]) -> dict[str, Any]:
     raw, ours = series[RawNear.name], series[OurNear.name]
     series = {RawNear.name: raw, OurNear.name: ours}
-    rtt = {size: median(ours[size].round_trips) / median(raw[size].round_trips) for size in raw}
+    rtt = {size: _ratio(ours[size].round_trips, raw[size].round_trips) for size in raw}
     return {
-        "rtt_ratio": {size: round(ratio, 3) for size, ratio in rtt.items()},
-        "paced_rtt_ratio": {
-            size: round(median(ours[size].paced) / median(raw[size].paced), 3) for size in raw
-        },
-        "throughput_ratio": {
-            size: round(median(ours[size].rates) / median(raw[size].rates), 3) for size in raw
-        },
+        "rtt_ratio": rtt,
+        "paced_rtt_ratio": {size: _ratio(ours[size].paced, raw[size].paced) for size in raw},
+        "throughput_ratio": {size: _ratio(ours[size].rates, raw[size].rates) for size in raw},
         "rtt_us": {
             name: {size: round(median(one.round_trips) * 1e6, 1) for size, one in by_size.items()}
             for name, by_size in series.items()

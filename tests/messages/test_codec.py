@@ -1,6 +1,7 @@
 """Bytes of every message type: golden, round trip, plain msgpack, schema hashes, errors."""
 
 import typing
+import weakref
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -394,6 +395,17 @@ def test_finite() -> None:
         assert not finite(array)
         array[size // 2] = np.nan
         assert not finite(array)
+
+
+def test_arrays_live_no_longer_than_their_message() -> None:
+    codec = Codec("body_states", BodyStates)
+    states = np.zeros((60, 24, 13), "f4")
+    states.flags.writeable = False
+    kept = weakref.ref(states)
+    message = BodyStates(np.arange(60, dtype="i4"), states)
+    assert len(codec.encode(message)[1]) == 1
+    del message, states
+    assert kept() is None
 
 
 def test_noncontiguous_and_empty_arrays() -> None:

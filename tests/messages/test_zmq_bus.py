@@ -118,6 +118,18 @@ def test_old_messages_give_way_and_are_counted(bus: Open, policy: str, depth: in
     assert sink.inlets[0].dropped == 0
 
 
+def test_after_quick_answers_a_node_that_waits_long_sleeps(bus: Open) -> None:
+    graph = pair("latest")
+    source, sink = bus(graph, "source"), bus(graph, "sink")
+    source.wait_connected(5.0)
+    for number in range(20):
+        source.publish(DATA, Sample(number), number)
+        assert numbers(collect(sink, 1)) == [number]
+    busy = time.process_time()
+    assert not sink.poll(1.0)
+    assert time.process_time() - busy < 0.5
+
+
 def test_latest_is_fresh_behind_a_busy_consumer(bus: Open) -> None:
     graph = pair("latest")
     source, sink = bus(graph, "source"), bus(graph, "sink")
