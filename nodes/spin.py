@@ -171,7 +171,7 @@ class ClockOwner:
         while not spinner.stepper.ready:
             if process.wait():
                 spinner.work(take(process.bus), 0, run=False)
-        anchor = monotonic()
+        due = monotonic()
         while True:
             now_ns = step * 1_000_000_000 // self.rate_hz
             if duration is not None and now_ns > round(duration * 1e9):
@@ -186,7 +186,7 @@ class ClockOwner:
             self._tick(step)
             if self.mode == "lockstep":
                 self._wait_for_followers(step)
-            anchor = self._pace(anchor, step)
+            due = self._pace(due, step)
             step += 1
 
     def _tick(self, step: int) -> None:
@@ -222,25 +222,26 @@ class ClockOwner:
                     f"tick {step}: messages of {', '.join(sorted(late))} have not arrived after {self.timeout:g} s"
                 )
 
-    def _pace(self, anchor: float, step: int) -> float:
-        """Wait for the wall time of the next tick; returns the (possibly moved) time origin."""
+    def _pace(self, due: float, step: int) -> float:
+        """Wait for the wall time of the next tick, and return it, given when this one was due [s]."""
         if self.paused:
-            anchor = self._stay_paused(anchor, step)
+            due += self._stay_paused(step)
         if self.rate is None:
-            return anchor
-        due = anchor + (step + 1) / self.rate_hz / self.rate
+            return monotonic()
+        due += 1 / (self.rate_hz * self.rate)
         if (late := monotonic() - due) > 0:
             self._behind += late
             self.process.facts["behind"] = self.spinner.node.facts["behind"] = self._behind
-            return anchor + late
+            return due + late
         while (left := due - monotonic()) > 0:
             if left > 0.002:
                 self.process.wait(lambda: False, min(0.02, left - 0.001))
             else:
                 sleep(left)
-        return anchor
+        return due
 
-    def _stay_paused(self, anchor: float, step: int) -> float:
+    def _stay_paused(self, step: int) -> float:
+        """Stand still until told to go on; returns for how long [s]."""
         begin = monotonic()
         self._tick(step)
         while self.paused and not self.single_steps:
@@ -250,7 +251,7 @@ class ClockOwner:
                     self._listen(take(self.process.bus, in_step)), self.process.now_ns, run=False
                 )
         self.single_steps = max(0, self.single_steps - 1)
-        return anchor + monotonic() - begin
+        return monotonic() - begin
 
     def _listen(self, messages: list[Received[Any]]) -> list[Received[Any]]:
         """Obey what is said to the clock."""

@@ -2,8 +2,8 @@
 
 One run, in turns: the viewer's process stands still (as if there were none), or draws for one client that
 reads all it is sent, as a browser does. Real-time factors, updates a second and processor time are counted
-over many short turns, so that whatever else the machine does weighs on both alike. Then waypoints are set the
-way the window sets them, at real time, and the first plan made with each is waited for.
+over many short turns, so that whatever else the machine does weighs on both alike. At real time updates are
+counted again, and waypoints set the way the window sets them; the first plan made with each is waited for.
 """
 
 import argparse
@@ -16,6 +16,9 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
@@ -31,6 +34,7 @@ PATIENCE = 120.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bench's arguments."""
     parser.add_argument("--scene", default="plaza", help="launch file or scene (default %(default)s)")
+    parser.add_argument("--planner", default="orca", help="default %(default)s")
     parser.add_argument("--people", type=int, default=100, help="default %(default)s")
     parser.add_argument("--turns", type=int, default=8, help="of each kind (default %(default)s)")
     parser.add_argument("--turn", type=float, default=6.0, metavar="S", help="wall time of one (default 6)")
@@ -40,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, and print the figures."""
-    figures = measure(args.scene, args.people, args.turns, args.turn, args.clicks)
+    figures = measure(args.scene, args.planner, args.people, args.turns, args.turn, args.clicks)
     if args.json:
         print(json.dumps(figures))
     else:
@@ -56,7 +60,7 @@ class Run:
         ConfigError: it does not start.
     """
 
-    def __init__(self, scene: str, people: int, folder: Path) -> None:
+    def __init__(self, scene: str, planner: str, people: int, folder: Path) -> None:
         from ..launch.running import find_graph
         from .observe import observer
 
@@ -65,6 +69,7 @@ class Run:
         self._process = subprocess.Popen(
             [
                 *(sys.executable, "-m", f"{__package__}.cli", "launch", scene, "--set", f"count={people}"),
+                *("--set", f"planner={planner}"),
                 *("--view", "0", "--rate", "1000", "--run-dir", str(home), "--quiet"),
             ],
             stdout=self._log,
@@ -89,6 +94,12 @@ class Run:
         """The viewer's process."""
         self.drawn: list[tuple[float, int]] = []
         """Wall time [s] and pictures the viewer had drawn by then, about once a second."""
+
+    @property
+    def url(self) -> str:
+        """Where the window is."""
+        host, port = (self.graph.node("viewer").config[key] for key in ("host", "port"))
+        return f"http://{host}:{port}"
 
     def said(self) -> str:
         """The end of what the launcher has printed."""
@@ -117,6 +128,12 @@ class Run:
         """Let wall time pass."""
         for _ in self.messages(seconds):
             pass
+
+    def factor(self, seconds: float) -> float:
+        """Real-time factor over so much wall time."""
+        begin, sim = monotonic(), self.now
+        self.wait(seconds)
+        return (self.now - sim) / (monotonic() - begin)
 
     def until(self, time: float) -> None:
         """Wait for a simulation time [s]."""
@@ -168,11 +185,12 @@ class Reader:
         self._thread.join(5)
 
 
-def measure(scene: str, people: int, turns: int, turn: float, clicks: int) -> dict[str, float]:
+def measure(scene: str, planner: str, people: int, turns: int, turn: float, clicks: int) -> dict[str, float]:
     """The figures; see the module.
 
     Args:
         scene: Launch file or scene.
+        planner: Method of the planner.
         people: How many walk.
         turns: Of each kind.
         turn: Wall time of one [s].
@@ -182,49 +200,71 @@ def measure(scene: str, people: int, turns: int, turn: float, clicks: int) -> di
         ConfigError: the graph does not start, or ends too soon.
     """
     with tempfile.TemporaryDirectory(prefix="footfall-bench-") as folder:
-        watched = Run(scene, people, Path(folder))
+        watched = Run(scene, planner, people, Path(folder))
         try:
             watched.until(WARM_UP)
-            return costs(watched, turns, turn) | replies(watched, clicks)
+            return costs(watched, turns, turn) | at_real_time(watched, 2.0 * turn) | replies(watched, clicks)
         finally:
             watched.stop()
 
 
+@dataclass
+class Usage:
+    """What the viewer's process has taken and given over some wall time."""
+
+    wall: float = 0.0
+    """[s]"""
+    cpu: float = 0.0
+    """[s]"""
+    bytes: int = 0
+    drawn: int = 0
+    """Pictures between the first and the last of its reports."""
+    drawn_wall: float = 0.0
+    """Wall time between these [s]."""
+
+    @contextmanager
+    def counted(self, watched: Run, process: Any, reader: Reader) -> Iterator[None]:
+        """Add what is used meanwhile."""
+        begin, times, data = monotonic(), process.cpu_times(), reader.bytes
+        yield
+        after = process.cpu_times()
+        self.wall += monotonic() - begin
+        self.cpu += after.user + after.system - times.user - times.system
+        self.bytes += reader.bytes - data
+        reports = [report for report in watched.drawn if report[0] >= begin]
+        if len(reports) > 1:
+            self.drawn += reports[-1][1] - reports[0][1]
+            self.drawn_wall += reports[-1][0] - reports[0][0]
+
+    def figures(self) -> dict[str, float]:
+        """Updates a second, processor time and traffic."""
+        return {
+            "updates_per_s": self.drawn / self.drawn_wall if self.drawn_wall else 0.0,
+            "viewer_cores": self.cpu / self.wall,
+            "megabytes_per_s": self.bytes / self.wall / 1e6,
+        }
+
+
 def costs(watched: Run, turns: int, turn: float) -> dict[str, float]:
-    """Real-time factors with and without the viewer, updates a second, and what the viewer takes."""
+    """Real-time factors with and without the viewer where the graph runs as fast as it can."""
     import psutil
 
-    host, port = (watched.graph.node("viewer").config[key] for key in ("host", "port"))
     process = psutil.Process(watched.pid)
     factors: dict[str, list[float]] = {"with": [], "without": []}
-    cpu = wall = data = drawn = drawn_wall = 0.0
+    usage = Usage()
     try:
         for number in range(2 * turns):
-            attached = number % 2 == 0
-            reader = None
-            if attached:
-                process.resume()
-                reader = Reader(f"http://{host}:{port}")
-                watched.wait(1.5)  # the whole scene is sent at first
-            else:
+            if number % 2:
                 process.suspend()
                 watched.wait(0.3)
-            begin, sim = monotonic(), watched.now
-            times = process.cpu_times()
-            begin_bytes = 0 if reader is None else reader.bytes
-            watched.wait(turn)
-            spent = monotonic() - begin
-            factors["with" if attached else "without"].append((watched.now - sim) / spent)
-            if reader is not None:
-                after = process.cpu_times()
-                cpu += after.user + after.system - times.user - times.system
-                wall += spent
-                data += reader.bytes - begin_bytes
-                reports = [report for report in watched.drawn if report[0] >= begin]
-                if len(reports) > 1:
-                    drawn += reports[-1][1] - reports[0][1]
-                    drawn_wall += reports[-1][0] - reports[0][0]
-                reader.close()
+                factors["without"].append(watched.factor(turn))
+                continue
+            process.resume()
+            reader = Reader(watched.url)
+            watched.wait(1.5)  # the whole scene is sent at first
+            with usage.counted(watched, process, reader):
+                factors["with"].append(watched.factor(turn))
+            reader.close()
     finally:
         process.resume()
     ratios = [one / other for one, other in zip(factors["with"], factors["without"], strict=True) if other]
@@ -234,21 +274,33 @@ def costs(watched: Run, turns: int, turn: float) -> dict[str, float]:
         "real_time_factor_without": statistics.mean(factors["without"]),
         "ratio": statistics.mean(factors["with"]) / statistics.mean(factors["without"]),
         "ratio_median_of_turns": statistics.median(ratios),
-        "updates_per_s": drawn / drawn_wall if drawn_wall else 0.0,
-        "viewer_cores": cpu / wall,
-        "megabytes_per_s": data / wall / 1e6,
-    }
+    } | {f"flat_out_{name}": value for name, value in usage.figures().items()}
+
+
+def at_real_time(watched: Run, seconds: float) -> dict[str, float]:
+    """What one browser gets, and what it takes, where the graph keeps to real time if it can."""
+    import psutil
+
+    from ..messages.link import Request
+    from .control import ask
+
+    ask(watched.graph, Request("control", "*", "rate", 1.0))
+    reader = Reader(watched.url)
+    watched.wait(2.0)
+    usage = Usage()
+    with usage.counted(watched, psutil.Process(watched.pid), reader):
+        factor = watched.factor(seconds)
+    reader.close()
+    return {"paced_real_time_factor": factor} | usage.figures()
 
 
 def replies(watched: Run, clicks: int) -> dict[str, float]:
     """Wall time from setting a waypoint to the first plan that knows it [s]."""
-    from ..messages.link import Request, Steer
+    from ..messages.link import Steer
     from ..messages.objectives import Waypoint
     from ..messages.steering import SetWaypoint
     from .control import ask
 
-    ask(watched.graph, Request("control", "*", "rate", 1.0))
-    watched.wait(2.0)
     draw = random.Random(0)
     people: list[int] = []
     for received in watched.messages(PATIENCE):

@@ -40,9 +40,12 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 def run(args: argparse.Namespace) -> int:
     """Ask the launcher; an error says why it refuses."""
     from ..launch.running import find_graph
+    from ..messages.config import ConfigError
     from ..messages.link import Request
 
     verb, value = args.verb, getattr(args, "value", None)
+    if verb in ("rate", "seek") and not 0.0 <= value < float("inf"):
+        raise ConfigError(f"control {verb}: is {value:g}, must be a number from 0 on")
     ask(find_graph(args.graph), Request("stop") if verb == "stop" else Request("control", "*", verb, value))
     return 0
 

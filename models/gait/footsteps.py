@@ -25,6 +25,7 @@ _FEET_APART = 0.10  # m: least lateral distance of a foothold from the other foo
 _LIFT = 0.04  # share of a swing at its ends in which the foot goes only up or down
 HARDEST_LEAN = 2.5
 """m/s^2: accelerations beyond are not leaned into any further."""
+_QUICK = 0.8  # share by which strides are shorter on ground that rises 1 m/m
 _RISE_PER_STEP = 0.19  # m: a tall tread
 _PATH = np.array([0.2, 0.35, 0.5, 0.65, 0.8])  # shares of a swing at which it must clear the ground
 
@@ -36,8 +37,9 @@ def stride(s: State) -> tuple[Array, Array]:
     # Small steps about one place, and steps that turn, are quick ones: at most 75 degrees a stride.
     duration = np.minimum(duration, 1.2 + 0.7 * smoothstep(s["speed"] / 0.5))
     duration = np.minimum(duration, np.maximum(1.3 / np.maximum(np.abs(s["turn_rate"]), 0.1), 0.6))
-    # On stairs and steep ground a step climbs one tread rather than two.
+    # Up and down steps are shorter, and on stairs climb one tread rather than two.
     climb = np.maximum(s["grade"] * s["speed"], 1e-3)
+    duration = duration / (1.0 + _QUICK * s["grade"])
     duration = np.minimum(duration, np.maximum(2.0 * _RISE_PER_STEP / climb, 0.6))
     return duration, norms.stance_share(s["speed"], duration)
 

@@ -44,6 +44,9 @@ def pelvis_motion(s: State) -> tuple[Array, Array, Array]:
     rise *= np.minimum(vigour, 1.0)
     wave = np.cos(2.0 * (cycle - 2.0 * np.pi * norms.CROSSING * support))
     height = stand - 0.012 * vigour - 0.055 * run + 0.5 * rise * (wave - 1.0)
+    height -= (
+        0.75 * s["grade"] * 0.5 * speed * duration
+    )  # bent legs: one foot is a step's rise below the other
     return turn, sway, height
 
 
@@ -167,7 +170,7 @@ def solve_legs(s: State, pelvis: Array, rotation: Array, hip: Array, sole: Array
         legs: the walkers' legs.
     """
     angles = _solve(s, pelvis, rotation, hip, sole, legs)
-    for _ in range(2):
+    for _ in range(4):
         excess = _ankle_excess(angles)
         rows = np.flatnonzero(excess.any(1))
         if not rows.size:

@@ -48,6 +48,7 @@ class GaitReference:
         self.follower = PathFollower(count, limits, manners)
         self.follower.radius = np.array([body.radius for body in bodies])
         self._gait = Gait(height_at)
+        self.ground(height_at, manners)
         self._people: State = np.zeros(count, STATE)
         self._people["id"] = np.arange(count)
         for row, body in zip(self._people, bodies, strict=True):
@@ -65,6 +66,7 @@ class GaitReference:
     def ground(self, height_at: HeightAt, manners: Manners | None) -> None:
         """Walk on other ground from here on, with manners that know what stands on it."""
         self._gait.height_at = height_at
+        self.follower.height_at = None if height_at is flat_ground else height_at
         self.follower.manners = manners
 
     def keep(self, rows: NDArray[np.intp]) -> None:

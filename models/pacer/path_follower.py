@@ -7,11 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..gait.footholds import HeightAt
 from .manners import Manners
 
 Array = NDArray[np.float64]
 
 _BEND_TIME = 0.2  # s
+_FELT = np.arange(-0.3, 0.91, 0.2)  # m along the way: where the ground's rise is looked at
+_UPHILL = 1.6  # exponent by which a rise over run, up or down, slows people, in the form of Tobler (1993)
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,8 @@ class PathFollower:
     def __init__(self, count: int, limits: FollowerLimits | None = None, manners: Manners | None = None):
         self.limits = limits or FollowerLimits()
         self.manners = manners
+        self.height_at: HeightAt | None = None
+        """Ground height (m,), m, at world points (m, 2); None is level ground."""
         self.radius: Array = np.full(count, 0.3)
         """(N,) m: room that the people need."""
         self.position: Array = np.zeros((count, 2))
@@ -63,7 +68,7 @@ class PathFollower:
         self.turn_rate: Array = np.zeros(count)
         """(N,) rad/s."""
         self.bend: NDArray[np.complex128] = np.ones(count, dtype=complex)
-        """(N,) by which manners multiply what is wanted, x + iy."""
+        """(N,) by which ground and manners multiply what is wanted, x + iy."""
 
     @property
     def speed(self) -> Array:
@@ -123,11 +128,12 @@ class PathFollower:
         wanted = (aims - self.position) / limits.preview
         pace = np.linalg.norm(wanted, axis=-1, keepdims=True)
         wanted *= np.minimum(1.0, limits.fastest / np.maximum(pace, 1e-9))
+        chosen = self._unhurried(wanted, people)
         if self.manners:
             bend = self.bend.imag
-            chosen = self.manners.choose(wanted, people, self.velocity, self.radius, limits.fastest, bend)
-            self._bend(wanted, chosen, dt)
-            wanted = chosen
+            chosen = self.manners.choose(chosen, people, self.velocity, self.radius, limits.fastest, bend)
+        self._bend(wanted, chosen, dt)
+        wanted = chosen
         self._turn(wanted, dt)
         cos, sin = np.cos(self.heading), np.sin(self.heading)
         ahead = cos * wanted[:, 0] + sin * wanted[:, 1]
@@ -139,6 +145,19 @@ class PathFollower:
         change *= np.minimum(1.0, limits.acceleration * dt / np.maximum(size, 1e-9))
         self.velocity = self.velocity + change
         self.position = self.position + self.velocity * dt
+
+    def _unhurried(self, wanted: Array, people: Array) -> Array:
+        """Velocities (N, 2), m/s, as fast as the ground that rises or falls ahead lets people walk."""
+        if self.height_at is None:
+            return wanted
+        pace = np.linalg.norm(wanted, axis=-1, keepdims=True)
+        way = wanted / np.maximum(pace, 1e-9)
+        spots = people[:, None] + way[:, None] * _FELT[:, None]
+        heights = self.height_at(spots.reshape(-1, 2)).reshape(len(people), -1)
+        slope = np.ptp(heights, axis=1)[:, None] / (_FELT[-1] - _FELT[0])
+        return wanted * np.minimum(
+            1.0, self.limits.fastest * np.exp(-_UPHILL * slope) / np.maximum(pace, 1e-9)
+        )
 
     def _turn(self, wanted: Array, dt: float) -> None:
         """Face the wanted velocity, the more so the faster it is."""

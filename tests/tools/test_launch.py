@@ -90,7 +90,7 @@ def test_faults_found_by_nodes_are_the_users(footfall: Callable) -> None:
 
 
 def test_running_graph_can_be_steered(footfall: Callable) -> None:
-    run = footfall("launch", "corridor", "--set", "count=4", "--mode", "realtime", "--json")
+    run = footfall("launch", "corridor", "--set", "count=4", "--rate", "4", "--json")
 
     def say(*words: str) -> tuple[int, str]:
         process = footfall(*words)
@@ -107,6 +107,11 @@ def test_running_graph_can_be_steered(footfall: Callable) -> None:
     code, text = say("param", "set", "planner", "rate_hs", "2.5")
     assert (code, "did you mean 'rate_hz'" in text) == (2, True)
     assert "simulator" in say("graph")[1]
+    assert say("control", "rate", "1")[0] == 0  # from here on; what went by faster is not waited for
+    rates = say("topic", "hz", "clock", "--count", "3", "--json")[1].splitlines()
+    assert 10.0 < json.loads(rates[-1])["hz"] < 40.0, rates
+    code, text = say("control", "rate", "-1")
+    assert (code, "must be a number from 0 on" in text) == (2, True)
     assert say("control", "pause")[0] == 0
     assert say("control", "stop")[0] == 0
     out, err = run.communicate(timeout=20)
