@@ -131,5 +131,5 @@ class WalkerRun(PolicyRun):
         """The figures of a line of the log."""
         return (
             f"{super().told(means)}  path {means['path_error']:.3f} m  skate {means['skate']:.3f}  "
-            f"difficulty {means['difficulty']:.2f}"
+            f"difficulty {means['difficulty']:.2f}  level {means['level']:.2f}"
         )

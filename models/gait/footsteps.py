@@ -127,7 +127,9 @@ def _look_ahead(s: State, heading: Array, dt: float, height_at: HeightAt) -> Non
         [np.cos(heading), np.sin(heading)], -1
     )
     height = height_at(xy.reshape(-1, 2)).reshape(2, -1)
-    change = np.abs(height[1] - height[0]) / 0.8 - s["grade"]
+    slope = (height[1] - height[0]) / 0.8
+    s["climb"] += (slope - s["climb"]) * (1.0 - np.exp(-dt / 0.15))
+    change = np.abs(slope) - s["grade"]
     s["grade"] += change * (1.0 - np.exp(-dt / np.where(change > 0.0, 0.15, 0.8)))
 
 

@@ -35,6 +35,10 @@ class Legs:
         """Distance (...) in m from hip to ankle at knee angle (...) in rad beyond straight."""
         return np.sqrt(self._mean + self._amplitude * np.cos(knee))
 
+    def lever(self, knee: ArrayLike) -> Array:
+        """Torque (...) in Nm at the knee per N of load from hip to ankle, at knee angle (...) in rad."""
+        return 0.5 * self._amplitude * np.sin(knee) / self.reach(knee)
+
     def knee_angle(self, distance: Array) -> Array:
         """Knee angle (...) in rad at a hip-to-ankle distance (...) in m; straight where out of reach."""
         cosine = (distance * distance - self._mean) / self._amplitude

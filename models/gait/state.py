@@ -29,6 +29,7 @@ STATE = np.dtype(
         ("turn_rate", "f8"),  # rad/s, smoothed
         ("speed", "f8"),  # m/s, smoothed
         ("grade", "f8"),  # steepness of the way ahead, smoothed
+        ("climb", "f8"),  # the same with its sign: > 0 uphill
         ("time", "f8"),  # s since entering
         # Rhythm.
         ("phase", "f8"),  # of the stride, [0, 1), 0 at the left heel strike

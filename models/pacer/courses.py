@@ -156,7 +156,7 @@ def scatter_obstacles(
 def make_course(
     settings: CourseSettings | None = None, kinds: dict[str, float] | None = None, seed: int = 0
 ) -> Course:
-    """Lay tiles: a kind a column, a difficulty a level.
+    """Lay tiles: a kind a column, a difficulty a level, level / levels (PACER, app. B.3).
 
     Args:
         settings: sizes and numbers.
@@ -176,7 +176,7 @@ def make_course(
     row = [names[int(np.searchsorted(bounds, (c + 0.5) / s.columns))] for c in range(s.columns)]
     margin = round(s.border / s.cell)
     strips = [
-        np.concatenate([make_tile(kind, (level + 1) / s.levels, s, rng) for kind in row], axis=1)
+        np.concatenate([make_tile(kind, level / s.levels, s, rng) for kind in row], axis=1)
         for level in range(s.levels)
     ]
     heights = np.pad(np.concatenate(strips, axis=0), margin).astype(np.float32)

@@ -11,17 +11,27 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..body import Body
+from ..body import JOINT_GAINS, JOINT_INDEX, Body
+from ..body.skeleton import GAIN_REFERENCE_MASS
 from ..gait import Command, Gait, flat_ground
 from ..gait.footholds import HeightAt
 from ..gait.footsteps import stand
+from ..gait.leg_ik import Legs
+from ..gait.norms import GRAVITY, smoothstep
 from ..gait.state import STATE, State, describe_walker
 from .manners import Manners
 from .path_follower import FollowerLimits, PathFollower
 
 Array = NDArray[np.float64]
 
+_KNEE_HINGES = [JOINT_INDEX["L_Knee_y"], JOINT_INDEX["R_Knee_y"]]
+_KNEE_STIFFNESS = float(JOINT_GAINS[_KNEE_HINGES[0], 0])  # Nm/rad for people of the reference mass
+_WEIGHT = GRAVITY * GAIN_REFERENCE_MASS  # N
+_UPHILL = 0.1  # rise over run from which knees are stretched in full
 _ON_HEEL, _ON_BALL = -0.08, 0.08  # rad: pitch of a standing foot beyond which ball or heel is off the ground
+
+
+_OWN = ("root", "joints", "velocity", "rates", "_share", "_support")
 
 
 class GaitReference:
@@ -62,6 +72,10 @@ class GaitReference:
         """(N, 3) m/s of the pelvis on the way there, world."""
         self.rates: Array = np.zeros((count, 69))
         """(N, 69) rad/s on the way there."""
+        self._share: Array = np.full((count, 2), 0.5)
+        """(N, 2) of the weight on each leg."""
+        self._support: Array = np.zeros((count, 69))
+        """(N, 69) rad by which PD targets are beyond the pose, so as to hold it under load."""
 
     def ground(self, height_at: HeightAt, manners: Manners | None) -> None:
         """Walk on other ground from here on, with manners that know what stands on it."""
@@ -74,7 +88,7 @@ class GaitReference:
         follower = self.follower
         self._people, self._gait.state = self._people[rows], self._gait.state[rows]
         for owner, names in (
-            (self, ("root", "joints", "velocity", "rates")),
+            (self, _OWN),
             (follower, ("position", "velocity", "heading", "turn_rate", "radius", "bend")),
         ):
             for name in names:
@@ -86,7 +100,7 @@ class GaitReference:
         self._people["id"] = np.arange(len(self._people))
         self._gait.state = np.concatenate([self._gait.state, other._gait.state])
         for mine, theirs, names in (
-            (self, other, ("root", "joints", "velocity", "rates")),
+            (self, other, _OWN),
             (
                 self.follower,
                 other.follower,
@@ -95,6 +109,29 @@ class GaitReference:
         ):
             for name in names:
                 setattr(mine, name, np.concatenate([getattr(mine, name), getattr(theirs, name)]))
+
+    def targets(self, hinges: NDArray[np.intp], lead: float) -> Array:
+        """PD targets (N, H), rad, of hinges (H,) that bring people to the next pose.
+
+        Args:
+            hinges: (H,) which exist.
+            lead: s by which targets run ahead, so that damping does not hold them back.
+        """
+        return self.joints[:, hinges] + lead * self.rates[:, hinges] + self._support[:, hinges]
+
+    def _bear(self) -> None:
+        """Stretch the knees that carry people uphill, as far as their load would bend them.
+
+        Bent legs sink under their load; the weight of the body times the knee's lever, by the drive's
+        stiffness, is how far. On level ground legs are nearly straight, and none of this is needed.
+        """
+        s = self.steps
+        planted = s["planted"].astype(float)
+        share = planted / np.maximum(planted.sum(1, keepdims=True), 1.0)
+        self._share += 0.5 * (share - self._share)
+        legs = Legs(s["thigh"], s["shank"])
+        sag = _WEIGHT * self._share * legs.lever(self.joints[:, _KNEE_HINGES]) / _KNEE_STIFFNESS
+        self._support[:, _KNEE_HINGES] = -sag * smoothstep(s["climb"] / _UPHILL)[:, None]
 
     @property
     def preview(self) -> float:
@@ -141,6 +178,7 @@ class GaitReference:
         ]
         (before, bent), (root, joints), (after, next_joints) = poses
         self._gait.state[ids] = part.state
+        self._share[ids], self._support[ids] = 0.5, 0.0
         self.follower.place(ids, position + step, heading, speed)
         self.root[ids], self.joints[ids] = after, next_joints
         self.velocity[ids] = (after[:, :3] - root[:, :3]) / self.period
@@ -163,3 +201,4 @@ class GaitReference:
         self.velocity = (root[:, :3] - self.root[:, :3]) / self.period
         self.rates = np.clip((joints - self.joints) / self.period, -12.0, 12.0)
         self.root, self.joints = root, joints
+        self._bear()

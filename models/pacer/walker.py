@@ -194,7 +194,7 @@ class Walker:
         actions = self._model.act(self._seen).numpy()
         actions[mirrored] = self._mirror.actions(actions[mirrored])
         config, hinges = self.config, self.hinges
-        pose = reference.joints[:, hinges] + config.lead * reference.rates[:, hinges]
+        pose = reference.targets(hinges, config.lead)
         pose[:, self._driven] += config.action_scale * actions
         targets[:, hinges] = pose
         return targets

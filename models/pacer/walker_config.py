@@ -117,7 +117,7 @@ class WalkerConfig(LearningConfig):
 
 
 _LEVEL_COURSE = CourseSettings(levels=2, columns=4, tile=10.0, kinds=("flat", "obstacles"))
-_SMALL_COURSE = CourseSettings(levels=6, columns=9, tile=10.0, border=25.0)
+_SMALL_COURSE = CourseSettings(levels=8, columns=9, tile=10.0, border=25.0)
 
 CONFIGS: dict[str, WalkerConfig] = {
     "compact": WalkerConfig(course=_LEVEL_COURSE, company=4, noise=0.12),

@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 _JITTER = (0.02, 0.05)  # rad and rad/s: spread of initial joint angles and velocities
+_UP, _DOWN = 0.04, 0.08  # levels by which a walk changes where its kind of ground is begun: a third may fail
+_SPREAD = 3  # levels, the hardest and those below, on which people begin
 _STOPS = 0.2  # share of paths with a stop on the way
 _STAYS = 0.3  # share of those at rest who stay there
 _PUSH = 0.2  # s
@@ -116,6 +118,12 @@ class WalkerEnv:
         """(N,) whose last observation, and so whose next action, is a mirror image."""
         self.difficulty = 1.0
         """From 0, easy paths and no pushes, to 1, those of the settings."""
+        levels, columns = np.shape(self.course.kinds) if self.course else (1, 1)
+        self.hardest: Array = np.full(columns, levels - 1.0)
+        """(columns,) level of the course up to which people begin, by column."""
+        self.learning = False
+        """Whether `hardest` follows how people get on."""
+        self._tile = np.zeros((count, 2), dtype=np.intp)  # column and level where each began
         self.age = np.zeros(count, dtype=np.intp)
         """(N,) control steps since each episode began."""
         gains = JOINT_GAINS[self.world.hinges]
@@ -209,7 +217,7 @@ class WalkerEnv:
     def targets(self, actions: Floats) -> Array:
         """PD targets (N, H), rad, of actions (N, A) as the bodies take them."""
         hinges, config = self.world.hinges, self.config
-        pose = self.reference.joints[:, hinges] + config.lead * self.reference.rates[:, hinges]
+        pose = self.reference.targets(hinges, config.lead)
         pose[:, self.driven] += config.action_scale * actions
         return pose
 
@@ -282,6 +290,8 @@ class WalkerEnv:
             "bumped": float(bumped.sum()),
         }
         if len(ended):
+            if self.learning:
+                self._promote(ended, failed[ended])
             self._begin(ended)
             self.settle(ended)
             observations[ended] = self.observe()[ended]
@@ -293,7 +303,11 @@ class WalkerEnv:
         rng, n, config = self.rng, len(ids), self.config
         headings = rng.uniform(-np.pi, np.pi, n)
         settings = config.easy_paths.towards(config.paths, self.difficulty)
-        paths = sample_paths(self._starts(ids), headings, rng, settings)
+        starts = self._starts(ids)
+        if self.course:
+            last = np.array(np.shape(self.course.kinds))[::-1] - 1
+            self._tile[ids] = np.clip(starts // self.course.settings.tile, 0, last)
+        paths = sample_paths(starts, headings, rng, settings)
         speeds = paths.first_speeds
         resting = rng.random(n) < config.standing
         stops = ~resting & (rng.random(n) < _STOPS)
@@ -359,14 +373,25 @@ class WalkerEnv:
         return np.where(outside, 0.0, signed_distance(self._outlines, spots))
 
     def starts(self, count: int) -> Array:
-        """Places (n, 2) to begin at, m: the middles of tiles no harder than the present difficulty."""
+        """Places (n, 2) to begin at, m: the middles of tiles; while learning, of tiles near the hardest."""
         if self.course is None:
             return np.zeros((count, 2))
         centres = self.course.centres()
-        hardest = round(self.difficulty * (len(centres) - 1))
-        rows = self.rng.integers(hardest + 1, size=count)
         columns = self.rng.integers(centres.shape[1], size=count)
+        top = np.floor(self.hardest[columns])
+        rows = np.maximum(top - self.rng.integers(_SPREAD, size=count), 0).astype(int)
+        if not self.learning:
+            rows = self.rng.integers(len(centres), size=count)
         return centres[rows, columns] + self.rng.uniform(-1.0, 1.0, (count, 2))
+
+    def _promote(self, ids: NDArray[np.intp], failed: NDArray[np.bool_]) -> None:
+        """Let people begin on harder ground where those (n,) who began on the hardest did well."""
+        columns, levels = self._tile[ids].T
+        top = levels >= np.floor(self.hardest[columns])
+        np.add.at(self.hardest, columns[top], np.where(failed[top], -_DOWN, _UP))
+        self.hardest = (
+            np.clip(self.hardest, 0.0, len(self.course.kinds) - 1.0) if self.course else self.hardest
+        )
 
     def settle(self, ids: NDArray[np.intp]) -> None:
         """Read the motion, and forget where soles were before people (n,) were put somewhere."""

@@ -31,7 +31,8 @@ class WalkerTraining(PolicyTraining):
     """
 
     def __init__(self, env: WalkerEnv, config: WalkerConfig, demos: DemoWindows | None = None):
-        env.difficulty = 0.0
+        env.difficulty, env.learning = 0.0, True
+        env.hardest[:] = 0.0
         super().__init__(env, config)
         self.env = env
         self.config = config
@@ -65,7 +66,7 @@ class WalkerTraining(PolicyTraining):
         causes = {cause: figures[cause] for cause in ("fell", "strayed", "bumped")}
         ended = max(sum(causes.values()), 1e-9)
         causes = {cause: count / ended for cause, count in causes.items()}
-        return causes | {"difficulty": env.difficulty}
+        return causes | {"difficulty": env.difficulty, "level": ranks.mean(float(env.hardest.mean()))}
 
     def _rewards(self, step: WalkerStep) -> Tensor:
         """Rewards (N,): of the task, and of style where a window is whole; elsewhere ordinary style."""
@@ -88,7 +89,11 @@ class WalkerTraining(PolicyTraining):
         if self.style:
             weights = self.style.discriminator.state_dict()
             tensors |= {f"style.{name}": value for name, value in weights.items()}
-        return tensors, facts | {"failing": self.failing, "difficulty": self.env.difficulty}
+        return tensors, facts | {
+            "failing": self.failing,
+            "difficulty": self.env.difficulty,
+            "hardest": self.env.hardest.tolist(),
+        }
 
     def load_state(self, tensors: dict[str, Tensor], facts: dict[str, Any]) -> dict[str, dict[str, Tensor]]:
         """See `PolicyTraining.load_state`."""
@@ -96,6 +101,8 @@ class WalkerTraining(PolicyTraining):
         if self.style and "style" in parts:
             self.style.discriminator.load_state_dict(parts["style"])
         self.failing, self.env.difficulty = float(facts["failing"]), float(facts["difficulty"])
+        if len(facts.get("hardest", [])) == len(self.env.hardest):
+            self.env.hardest[:] = facts["hardest"]
         return parts
 
     def _learners(self) -> Iterator[tuple[str, torch.optim.Optimizer, nn.Module]]:

@@ -33,7 +33,7 @@ def test_a_course_is_harder_row_by_row_and_flat_around():
     centres = course.centres()
     tops = np.abs(terrain.height_at(centres.reshape(-1, 2))).reshape(centres.shape[:2])
     column = course.kinds[0].index("slope")
-    np.testing.assert_allclose(tops[:, column], 0.7 * np.array([0.5, 1.0]) * 3.5, rtol=0.02)
+    np.testing.assert_allclose(tops[:, column], 0.7 * np.array([0.0, 0.5]) * 3.5, rtol=0.02)
     assert terrain.height_at(np.array([[-1.5, 5.0], [61.5, 5.0], [30.0, 21.5]])) == pytest.approx(np.zeros(3))
 
 

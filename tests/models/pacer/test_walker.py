@@ -5,9 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from footfall.models.body import BODY_INDEX, N_BODIES, describe, forward_kinematics, sample_shapes
+from footfall.models.body import (
+    BODY_INDEX,
+    JOINT_INDEX,
+    N_BODIES,
+    describe,
+    forward_kinematics,
+    sample_shapes,
+)
+from footfall.models.body.anthropometry import shape_for
 from footfall.models.motion.clip import MIRROR_BODIES, MIRROR_JOINTS, MIRROR_SIGNS
 from footfall.models.pacer.batch_world import Physics
+from footfall.models.pacer.courses import CourseSettings
 from footfall.models.pacer.gait_reference import GaitReference
 from footfall.models.pacer.hinges import hinges_from_states
 from footfall.models.pacer.path_follower import FollowerLimits, PathFollower
@@ -288,3 +297,33 @@ def test_on_a_course_people_start_on_their_feet_and_see_the_ground():
     assert np.ptp(ground) > 0.1
     step = env.step(np.zeros((6, env.n_actions), np.float32))
     assert not step.failed.any() and np.isfinite(step.observations).all()
+
+
+def test_the_ground_gets_harder_where_people_do_well_and_easier_where_they_fail():
+    course = CourseSettings(levels=4, columns=2, tile=10.0, kinds=("flat", "slope"))
+    env = WalkerEnv(replace(SMALL, course=course), seed=1)
+    env.learning, env.hardest[:] = True, [1.0, 1.0]
+    ids = np.arange(len(env))
+    env._tile[ids] = [1, 1]
+    for _ in range(3):
+        env._promote(ids, np.zeros(len(env), dtype=bool))
+    assert env.hardest[0] == 1.0 and 1.0 < env.hardest[1] <= 3.0
+    for _ in range(30):
+        env._tile[ids, 1] = np.floor(env.hardest[1])
+        env._promote(ids, np.ones(len(env), dtype=bool))
+    assert env.hardest.tolist() == [1.0, 0.0]
+
+
+def test_knees_are_stretched_uphill_only_and_by_what_the_load_bends():
+    slope = {}
+    for rise in (-0.3, 0.0, 0.3):
+        reference = GaitReference([describe(shape_for(1.75, 75.0))], 1 / 30, lambda xy, r=rise: r * xy[:, 0])
+        one = np.zeros(1)
+        reference.place(np.arange(1), np.zeros((1, 2)), one, one + 1.0, one)
+        for k in range(60):
+            aim = np.array([[(k + 1) / 30 + reference.preview, 0.0]])
+            reference.advance(aim, aim - [[reference.preview, 0.0]])
+        slope[rise] = reference.targets(np.arange(69), 0.0) - reference.joints
+    assert not slope[0.0].any() and not slope[-0.3].any()
+    assert -1.0 < slope[0.3].min() < -0.1 and slope[0.3].max() <= 0.0
+    assert set(np.flatnonzero(slope[0.3][0])) <= {JOINT_INDEX["L_Knee_y"], JOINT_INDEX["R_Knee_y"]}
