@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     from ..messages.link import Request
 
     verb, value = args.verb, getattr(args, "value", None)
-    if verb in ("rate", "seek") and not 0.0 <= value < float("inf"):
+    if verb in ("rate", "seek") and value is not None and not 0.0 <= value < float("inf"):
         raise ConfigError(f"control {verb}: is {value:g}, must be a number from 0 on")
     ask(find_graph(args.graph), Request("stop") if verb == "stop" else Request("control", "*", verb, value))
     return 0

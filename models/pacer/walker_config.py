@@ -122,7 +122,7 @@ _SMALL_COURSE = CourseSettings(levels=8, columns=9, tile=10.0, border=25.0)
 CONFIGS: dict[str, WalkerConfig] = {
     "compact": WalkerConfig(course=_LEVEL_COURSE, company=4, noise=0.12),
     "compact_terrain": WalkerConfig(
-        course=_SMALL_COURSE, map=COMPACT_MAP, company=4, noise=0.12, widen_below=0.08, widening=0.004
+        course=_SMALL_COURSE, map=COMPACT_MAP, company=4, noise=0.12, widen_below=0.03, widening=0.004
     ),
     "paper": WalkerConfig(
         worlds=2048,

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 _JITTER = (0.02, 0.05)  # rad and rad/s: spread of initial joint angles and velocities
-_UP, _DOWN = 0.04, 0.08  # levels by which a walk changes where its kind of ground is begun: a third may fail
+_UP, _DOWN = 0.06, 0.06  # levels by which a walk changes where its kind of ground is begun: half may fail
 _SPREAD = 3  # levels, the hardest and those below, on which people begin
 _STOPS = 0.2  # share of paths with a stop on the way
 _STAYS = 0.3  # share of those at rest who stay there

@@ -18,8 +18,7 @@ from .metrics import (
     waypoint_error,
 )
 from .objectives import Objective
-from .planner import TracePlanner
-from .rollouts import GOAL_SECONDS, Rollout, Wishes, walk
+from .rollouts import GOAL_SECONDS, LoopPlanner, Rollout, Wishes, walk
 
 GROUP_DISTANCE, GROUP_COHESION = 1.5, 0.3  # m, probability (app. C.5)
 PERTURBATION = 2.0  # m, standard deviation (app. C.5)
@@ -169,7 +168,7 @@ def recorded(trials: Sequence[Rollout], task: str, seed: int = 0) -> LoopReport:
 
 
 def evaluate_loop(
-    planner: TracePlanner,
+    planner: LoopPlanner,
     trials: Sequence[Rollout],
     task: str,
     seed: int = 0,

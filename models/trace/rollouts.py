@@ -2,17 +2,18 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from ..crowd.planning import Futures
 from .config import TraceConfig
 from .crowd_file import SPLITS, CrowdFileError, Crowds
 from .metrics import Array
 from .objectives import Objective
-from .planner import TracePlanner
 from .scene_map import SceneMaps
 from .windows import CrowdWindows
 
@@ -104,7 +105,29 @@ Wishes = Callable[[int, Array], list[Objective]]
 """Objectives for a number of people, the walkers first, given their path (walkers, T, 2) so far [m]."""
 
 
-def walk(planner: TracePlanner, rollout: Rollout, wishes: Wishes, seed: int = 0) -> torch.Tensor:
+class LoopPlanner(Protocol):
+    """What plans for a scene again and again; `TracePlanner` does."""
+
+    @property
+    def config(self) -> TraceConfig:
+        """How much of the past it wants to see."""
+        ...
+
+    def plan(
+        self,
+        states: torch.Tensor,
+        size: torch.Tensor,
+        maps: SceneMaps | None = None,
+        objectives: Sequence[Objective] = (),
+        present: torch.Tensor | None = None,
+        *,
+        seed: int = 0,
+    ) -> Futures:
+        """See `TracePlanner.plan`."""
+        ...
+
+
+def walk(planner: LoopPlanner, rollout: Rollout, wishes: Wishes, seed: int = 0) -> torch.Tensor:
     """Walk a rollout, with a new plan every second.
 
     Args:

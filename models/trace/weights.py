@@ -10,7 +10,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from .config import TraceConfig
-from .network import Trace
+from .network import ActionModel, Trace
 
 
 class WeightsError(ValueError):
@@ -41,7 +41,7 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         raise WeightsError(f"{path} holds no TRACE weights: {error}") from error
 
 
-def save_model(path: Path, model: Trace, facts: dict[str, Any]) -> None:
+def save_model(path: Path, model: ActionModel, facts: dict[str, Any]) -> None:
     """Write a denoiser; `facts` tell how it was trained."""
     save_tensors(path, model.state_dict(), {"config": model.config.to_dict(), **facts})
 

@@ -97,7 +97,8 @@ def test_the_barrier_names_who_is_missing_and_counts_no_stranger_for_it(bus: Ope
     other = msgspec.structs.replace(graph.node("sink"), name="stranger", lockstep=False)
     with_stranger = msgspec.structs.replace(graph, nodes=[graph.nodes[0], other])
     source = bus(graph, "source")
-    bus(graph, "sink"), bus(with_stranger, "stranger")
+    bus(graph, "sink")
+    bus(with_stranger, "stranger")
     time.sleep(0.2)
     assert source.wait_connected(0.2) == ["data: sink1/data has not subscribed"]
     bus(graph, "sink1")

@@ -169,9 +169,9 @@ def test_windows_and_mirror_images_come_with_their_maps(crowds):
     assert actions.shape == (2, 52, 2) and context.maps is not None
     there = torch.from_numpy(crowds.positions[0, 0, 30])
     mirrored = there * torch.tensor([1.0, -1.0])
-    both = windows.maps(torch.tensor([0, 1])).sample(
-        torch.stack([there, mirrored])[:, None], torch.tensor([0, 1])
-    )
+    maps = windows.maps(torch.tensor([0, 1]))
+    assert maps is not None
+    both = maps.sample(torch.stack([there, mirrored])[:, None], torch.tensor([0, 1]))
     assert torch.allclose(both[0], both[1])
 
 

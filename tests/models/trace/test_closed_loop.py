@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from footfall.models.crowd.planning import Futures
 from footfall.models.trace.closed_loop import (
     ARRIVED,
     PERTURBATION,
@@ -52,7 +53,7 @@ class StraightOn:
         self.calls = []
 
     def plan(self, states, size, maps=None, objectives=(), present=None, seed=0):
-        assert maps is not None and bool(present[:, -1].all())
+        assert maps is not None and present is not None and bool(present[:, -1].all())
         self.calls.append(SimpleNamespace(states=states, objectives=objectives, seed=seed))
         now, time = states[:, -1].numpy(), 0.1 * np.arange(1, 51)
         forward = np.stack([np.cos(now[:, 2]), np.sin(now[:, 2])], -1) * now[:, 3:]
@@ -62,7 +63,7 @@ class StraightOn:
             return np.repeat(now[:, None, None, column], 50, 2)
 
         rows = np.zeros(len(now), int)
-        return SimpleNamespace(positions=positions[:, None], headings=every(2), speeds=every(3), chosen=rows)
+        return Futures(positions[:, None], every(2), every(3), rows)
 
 
 @pytest.fixture
