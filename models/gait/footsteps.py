@@ -27,7 +27,7 @@ HARDEST_LEAN = 2.5
 """m/s^2: accelerations beyond are not leaned into any further."""
 _QUICK = 0.8  # share by which strides are shorter on ground that rises 1 m/m
 _RISE_PER_STEP = 0.19  # m: a tall tread
-_PATH = np.array([0.2, 0.35, 0.5, 0.65, 0.8])  # shares of a swing at which it must clear the ground
+_PATH = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8])  # shares of a swing at which it must clear the ground
 
 
 def stride(s: State) -> tuple[Array, Array]:
@@ -236,11 +236,11 @@ def _swing(s: State, swinging: NDArray[np.bool_], height_at: HeightAt) -> None:
     )  # up: climb, then go forward; down: the reverse
 
     def forward(u: Array) -> Array:
-        up, down = 0.25 * np.maximum(early, 0.0), 0.25 * np.maximum(-early, 0.0)
+        up, down = 0.15 * np.maximum(early, 0.0), 0.15 * np.maximum(-early, 0.0)
         return smoothstep((u - _LIFT - up) / (1.0 - 2.0 * _LIFT - up - down))
 
     def base(u: Array) -> Array:
-        up, down = smoothstep(u * (1.0 + 0.5 * early)), 1.0 - smoothstep((1.0 - u) * (1.0 - 0.5 * early))
+        up, down = smoothstep(u * (1.0 + 0.25 * early)), 1.0 - smoothstep((1.0 - u) * (1.0 - 0.25 * early))
         return start[:, 2:3] + change[:, 2:3] * np.where(early > 0.0, up, down)
 
     # The least arc height that clears the ground under heel, ball and tip all along the way.
