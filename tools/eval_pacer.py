@@ -15,7 +15,7 @@ from ..models.pacer.gait_measures import measure_steps
 from ..models.pacer.policy import ActorCritic
 from ..models.pacer.walker import WALKER
 from ..models.pacer.walker_config import WalkerConfig
-from ..models.pacer.walker_evaluation import Rollouts, roll_out
+from ..models.pacer.walker_evaluation import Rollouts, roll_out, stroll_paths
 from ..models.pacer.walker_weights import load_discriminator, load_walker
 from .eval_pacer_tables import tell_steps, tell_table
 
@@ -42,6 +42,12 @@ def add_parser(subparsers) -> None:
         "--bodies", choices=["usual", "extreme"], default="usual", help="extreme: 1.5 to 2 m, 50 to 110 kg"
     )
     parser.add_argument("--duration", type=float, default=10.0, help="s of each rollout")
+    parser.add_argument(
+        "--paths",
+        choices=["random", "strolls"],
+        default="random",
+        help="PACER's, with sharp turns, or gentle bends at 0.9 to 1.5 m/s",
+    )
     parser.add_argument("--push", type=float, default=0.0, help="N for 0.2 s from a random side after 3 s")
     parser.add_argument("--style", type=Path, help="a discriminator, style.safetensors of a run")
     parser.add_argument("--unaware", action="store_true", help="people look at nothing but their paths")
@@ -63,8 +69,8 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate, print, draw."""
     if args.rollouts < 1 or args.people < 1 or not args.duration > 0 or args.threads < 1:
         raise EvaluationError("--rollouts, --people, --duration and --threads must be positive")
-    if args.push and args.terrain in ("obstacles", "crowd"):
-        raise EvaluationError("--push needs --terrain flat or random")
+    if (args.push or args.paths == "strolls") and args.terrain in ("obstacles", "crowd"):
+        raise EvaluationError("--push and --paths strolls need --terrain flat or random")
     torch.set_num_threads(args.threads)
     model, config, facts = load_walker(args.model)
     if args.unaware:
@@ -114,6 +120,7 @@ def evaluate(
         args.rollouts,
         people=args.people,
         bodies=_bodies(args),
+        paths=stroll_paths(args.duration) if args.paths == "strolls" else None,
         push=args.push,
         course=course,
         **shared,

@@ -209,6 +209,13 @@ def evaluation_paths(duration: float) -> PathSettings:
     return PathSettings(duration=whole, vertices=round(10 * whole) + 1, speed_range=(0.0, 2.0))
 
 
+def stroll_paths(duration: float) -> PathSettings:
+    """Ways of people who have somewhere to go, 0.9 to 1.5 m/s and gentle bends, as long as `evaluation_paths`."""
+    return replace(
+        evaluation_paths(duration), turn_rate=0.4, sharp_turn=0.0, acceleration=0.4, speed_range=(0.9, 1.5)
+    )
+
+
 def roll_out(
     model: ActorCritic,
     config: WalkerConfig,

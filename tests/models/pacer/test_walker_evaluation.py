@@ -97,6 +97,9 @@ def test_train_resume_and_evaluate_from_the_command_line(tmp_path, monkeypatch, 
     assert (out / "curve.csv").is_file() == (out / "curve.png").is_file()
     other = ["train", "pacer", "--out", str(tmp_path / "other"), "--init", str(out / "model.safetensors")]
     assert cli.main([*other, "--threads", "1", "--samples", "32"]) == 0
+    strolls = [*evaluate, "--rollouts", "2", "--duration", "1", "--paths", "strolls"]
+    assert cli.main([*strolls, "--json"]) == 0
+    assert cli.main([*strolls, "--terrain", "crowd"]) == 2
     assert cli.main([*evaluate, "--rollouts", "0"]) == 2
     assert cli.main([*command, "--style", "2"]) == 2
     assert issubclass(train_pacer.TrainingError, ValueError)
