@@ -208,7 +208,8 @@ class Bus(Protocol):
         """Send a message; returns its sequence number.
 
         Arrays that can still be written to are copied, so that the caller may go on working in them.
-        Read-only arrays (`array.flags.writeable = False`) are not: freeze large ones to save the copy.
+        Read-only arrays (`array.flags.writeable = False`) are not, and are looked through for NaN once: freeze
+        large ones to save both.
 
         Raises:
             MessageError: the message is not what its topic promises.

@@ -6,6 +6,7 @@ import struct
 from collections.abc import Sequence
 from functools import cache
 from typing import Any, ClassVar, Generic, TypeVar
+from weakref import WeakValueDictionary
 
 import msgspec
 import numpy as np
@@ -198,6 +199,8 @@ class Codec(Generic[M]):
                 )
             if self._arrays is None or not _sound(message, self._arrays, not finite):
                 validate(self.topic, message)
+            elif finite and frames:
+                _believe(message, self._arrays)
         except MessageError as error:
             raise self._named(error, schema) from None
         except (msgspec.DecodeError, ValueError, TypeError, OverflowError, RecursionError) as error:
@@ -298,9 +301,43 @@ def _sound(message: msgspec.Struct, arrays: tuple[tuple[str, Any, tuple, bool], 
                 wanted = lengths.setdefault(wanted, length)
             if length != wanted:
                 return False
-        if finite and real and not math.isfinite(np.vdot(array, array)):
+        if finite and real and not _is_finite(array):
             return False
     return True
+
+
+_finite: WeakValueDictionary[int, np.ndarray] = WeakValueDictionary()
+"""Large arrays that nobody can write to and that have been looked through, by identity."""
+
+
+def _is_finite(array: np.ndarray) -> bool:
+    """Whether an array is surely free of NaN and infinity; a large frozen one is looked through once."""
+    large = array.nbytes >= INLINE_BYTES
+    if large and _finite.get(id(array)) is array and not array.flags.writeable:
+        return True
+    if not math.isfinite(np.vdot(array, array)):
+        return False
+    if large and _frozen(array):
+        _finite[id(array)] = array
+    return True
+
+
+def _believe(message: msgspec.Struct, arrays: tuple[tuple[str, Any, tuple, bool], ...]) -> None:
+    """Remember that whoever sent a message has looked through its arrays, which nobody else can write to."""
+    for name, _, _, real in arrays:
+        array = getattr(message, name)
+        if real and array.nbytes >= INLINE_BYTES:
+            _finite[id(array)] = array
+
+
+def _frozen(array: np.ndarray) -> bool:
+    """Whether neither an array nor what it is a view of can be written to."""
+    base: object = array
+    while isinstance(base, np.ndarray):
+        if base.flags.writeable:
+            return False
+        base = base.base
+    return base is None or isinstance(base, bytes)
 
 
 def validate(topic: str, message: msgspec.Struct, path: str = "") -> None:

@@ -408,6 +408,24 @@ def test_arrays_live_no_longer_than_their_message() -> None:
     assert kept() is None
 
 
+def test_large_arrays_are_looked_through_again_where_they_may_have_changed() -> None:
+    codec = Codec("body_states", BodyStates)
+    ids = np.arange(60, dtype="i4")
+    states = np.zeros((60, 24, 13), "f4")
+    view = states[:]
+    view.flags.writeable = False
+    thawed = states.copy()
+    thawed.flags.writeable = False
+    for array in (states, view, thawed):
+        codec.encode(BodyStates(ids, array))
+        codec.encode(BodyStates(ids, array))
+    thawed.flags.writeable = True
+    states[3, 2, 1] = thawed[3, 2, 1] = np.nan
+    for array in (states, view, thawed, states.copy()):
+        with pytest.raises(MessageError, match=r"NaN|finite"):
+            codec.encode(BodyStates(ids, array))
+
+
 def test_noncontiguous_and_empty_arrays() -> None:
     wide = np.arange(2 * 24 * 26, dtype="f4").reshape(2, 24, 26)[:, :, ::2]
     np.testing.assert_array_equal(through("body_states", BodyStates(IDS, wide)).joints, wide)

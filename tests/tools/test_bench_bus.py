@@ -17,7 +17,7 @@ def test_bench_bus() -> None:
     assert {"zenoh", "LCM", "dora-rs"} == set(result["peers"])
     for size in ("64", "39k"):
         ours, raw = result["rtt_us"]["footfall"][size], result["rtt_us"]["raw pyzmq"][size]
-        assert result["rtt_ratio"][size] == pytest.approx(ours / raw, rel=0.02)
+        assert ours / raw / 2 < result["rtt_ratio"][size] < ours / raw * 2  # of turns, not of medians
         assert 0 < result["throughput_ratio"][size] < 2
     assert result["latest_age_ms"]["median"] < 20
 
