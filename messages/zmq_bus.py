@@ -50,7 +50,7 @@ DRAIN_PERIOD = 0.003
 """How often the sockets are emptied while the node works [s]."""
 SERVICE_PERIOD = 0.02
 """How often publishing sockets are asked for newcomers whose signal sending has swallowed [s]."""
-SPIN_FIRST, SPIN_MOST = 5e-5, 2e-3
+SPIN_FIRST, SPIN_MOST = 5e-5, 1e-3
 """Where the last messages came at once, the next is looked out for so long before the node goes to sleep [s]."""
 _LATEST_HWM = 32
 _BURST = 1000
