@@ -70,3 +70,17 @@ class Volatile:
 
 
 VOLATILE = Volatile()
+
+
+WRITABLE = object()
+"""Stands for what holds the memory of an array that somebody can write to."""
+
+
+def owner_of(array: np.ndarray) -> object:
+    """What holds the memory of an array nobody can write to through NumPy: None for itself; else `WRITABLE`."""
+    owner: object = array
+    while isinstance(owner, np.ndarray):
+        if owner.flags.writeable:
+            return WRITABLE
+        owner = owner.base
+    return owner

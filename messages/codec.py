@@ -5,13 +5,14 @@ import re
 import struct
 from collections.abc import Sequence
 from functools import cache
+from types import NoneType
 from typing import Any, ClassVar, Generic, TypeVar
 from weakref import WeakValueDictionary
 
 import msgspec
 import numpy as np
 
-from .array import DTYPES
+from .array import DTYPES, owner_of
 from .schema import Field, fields_of, schema_hash
 
 M = TypeVar("M", bound=msgspec.Struct)
@@ -317,7 +318,7 @@ def _is_finite(array: np.ndarray) -> bool:
         return True
     if not math.isfinite(np.vdot(array, array)):
         return False
-    if large and _frozen(array):
+    if large and isinstance(owner_of(array), (bytes, NoneType)):
         _finite[id(array)] = array
     return True
 
@@ -328,16 +329,6 @@ def _believe(message: msgspec.Struct, arrays: tuple[tuple[str, Any, tuple, bool]
         array = getattr(message, name)
         if real and array.nbytes >= INLINE_BYTES:
             _finite[id(array)] = array
-
-
-def _frozen(array: np.ndarray) -> bool:
-    """Whether neither an array nor what it is a view of can be written to."""
-    base: object = array
-    while isinstance(base, np.ndarray):
-        if base.flags.writeable:
-            return False
-        base = base.base
-    return base is None or isinstance(base, bytes)
 
 
 def validate(topic: str, message: msgspec.Struct, path: str = "") -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import zmq
 
+from .array import WRITABLE, owner_of
 from .bus import PortError
 from .codec import Buffer, Header
 
@@ -131,26 +132,19 @@ def part_of(array: np.ndarray, *, kept: bool) -> Any:
     if array.nbytes < ZERO_COPY_BYTES:
         return array.tobytes() if kept else array
     owner = _owner(array)
-    if owner is _WRITABLE:
+    if owner is WRITABLE:
         array = array.copy()
     elif isinstance(owner, zmq.Frame) and len(owner) == array.nbytes:
         return owner  # as it came in
     return zmq.Frame(array.data.cast("B"), copy=False)
 
 
-_WRITABLE = object()
-
-
 def _owner(array: np.ndarray) -> object:
-    """What holds the memory of an array nobody can write to: None for itself; `_WRITABLE` if somebody can."""
-    owner: object = array
-    while isinstance(owner, np.ndarray):
-        if owner.flags.writeable:
-            return _WRITABLE
-        owner = owner.base
+    """What holds the memory of an array nobody can write to: None for itself; `WRITABLE` if somebody can."""
+    owner = owner_of(array)
     if isinstance(owner, memoryview):
         owner = owner.obj
-    return owner if owner is None or isinstance(owner, (bytes, zmq.Frame)) else _WRITABLE
+    return owner if owner is None or isinstance(owner, (bytes, zmq.Frame)) else WRITABLE
 
 
 def send_parts(socket: zmq.Socket, parts: Sequence[Any]) -> None:
