@@ -52,6 +52,8 @@ SERVICE_PERIOD = 0.02
 """How often publishing sockets are asked for newcomers whose signal sending has swallowed [s]."""
 SPIN_FIRST, SPIN_MOST = 5e-5, 1e-3
 """Where the last messages came at once, the next is looked out for so long before the node goes to sleep [s]."""
+SPIN_PER_BYTE = 2e-9
+"""And so much longer for each byte this node sent last: those who answer have to read and copy it [s]."""
 _LATEST_HWM = 32
 _BURST = 1000
 _forks = 0
@@ -135,6 +137,7 @@ class ZmqBus:
         """Sockets that were not read to the end; no signal will come for what is in them."""
         self._next_service = 0.0
         self._spin = 0.0
+        self._spin_most = SPIN_MOST
         self._readers: dict[zmq.Socket, Inlet] = {}
         self._publishers: dict[zmq.Socket, _Outlet] = {}
         self._outputs: dict[str, _Output] = {}
@@ -279,6 +282,7 @@ class ZmqBus:
                 if latched:
                     outlet.last = parts
         output.bytes += size
+        self._spin_most = SPIN_MOST + SPIN_PER_BYTE * size
         return sequence
 
     def _output(self, port: str) -> _Output:
@@ -377,8 +381,8 @@ class ZmqBus:
         if not signals:
             signals = poll(max(0.0, begin + timeout - now), 64)
             now = monotonic()
-        short = bool(signals) and now - begin < SPIN_MOST
-        self._spin = min(SPIN_MOST, SPIN_FIRST + 2.0 * self._spin) if short else 0.0
+        short = bool(signals) and now - begin < self._spin_most
+        self._spin = min(self._spin_most, SPIN_FIRST + 2.0 * self._spin) if short else 0.0
         return signals
 
     def _read_backlog(self) -> bool:

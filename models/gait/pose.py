@@ -21,6 +21,8 @@ _MAX_ROLL = np.radians(75.0)  # of a standing foot on its toes
 _TOE_BEND = np.radians(50.0)
 _ANKLE_RANGE = JOINT_LIMITS[JOINT_INDEX["L_Ankle_y"]] + np.radians([1.0, -1.0])
 _RISE_RATE = 0.5  # m/s: fastest recovery of the pelvis from a long step
+_BENT_UP, _BENT_DOWN = 0.15, 0.5  # share of a step's rise by which the pelvis is lower, uphill and downhill
+_DOWNHILL = 0.1  # fall over run from which it is the latter
 _SOFT = 0.006  # m: rounding of the pelvis' path where a leg's reach begins to bind
 
 
@@ -44,9 +46,10 @@ def pelvis_motion(s: State) -> tuple[Array, Array, Array]:
     rise *= np.minimum(vigour, 1.0)
     wave = np.cos(2.0 * (cycle - 2.0 * np.pi * norms.CROSSING * support))
     height = stand - 0.012 * vigour - 0.055 * run + 0.5 * rise * (wave - 1.0)
-    height -= (
-        0.75 * s["grade"] * 0.5 * speed * duration
-    )  # bent legs: one foot is a step's rise below the other
+    # Legs bend on slopes, for one foot is a step's rise below the other: more so on the way down, where the
+    # body would dive at every step.
+    down = smoothstep(-s["climb"] / _DOWNHILL)
+    height -= (_BENT_UP + (_BENT_DOWN - _BENT_UP) * down) * s["grade"] * 0.5 * speed * duration
     return turn, sway, height
 
 
