@@ -28,8 +28,10 @@ log = logging.getLogger(__name__)
 
 CLEARANCE = 0.4
 """Ways keep so far from obstacles [m]."""
-STILL = 0.15
-"""Who moves no further than this stands [m]."""
+STILL = 0.25
+"""Who moves no further than this, for `STANDS` at least, stands [m]."""
+STANDS = 1.0
+"""[s]."""
 
 
 class TraceMethod:
@@ -132,8 +134,9 @@ class TraceMethod:
 def settled(futures: TraceFutures, now: np.ndarray, still: float = STILL) -> TraceFutures:
     """Futures in which who hardly moves any more stands.
 
-    From the first state on that is no further than `still` [m] from the last one, and from all between, nobody
-    moves: samples of a person who waits tremble, and a body that follows them would shuffle.
+    From the first state on that is no further than `still` [m] from the middle of the last `STANDS`, as all between
+    are, nobody moves, if that is so long before the end: samples of a person who waits tremble, and a body that
+    follows them would shuffle.
 
     Args:
         futures: (A, S, T).
@@ -144,9 +147,12 @@ def settled(futures: TraceFutures, now: np.ndarray, still: float = STILL) -> Tra
     first = np.broadcast_to(now[:, None, None, :], (count, samples, 1, 4))
     rest = [futures.positions, futures.headings[..., None], futures.speeds[..., None]]
     states = np.concatenate([first, np.concatenate(rest, axis=-1)], axis=2)  # (A, S, 1 + T, 4)
-    far = np.linalg.norm(states[..., :2] - states[..., -1:, :2], axis=-1) > still
+    while_standing = round(STANDS / PLAN_DT)
+    end = states[..., -while_standing:, :2].mean(axis=2, keepdims=True)
+    far = np.linalg.norm(states[..., :2] - end, axis=-1) > still
     steps = np.arange(states.shape[2])
     arrival = np.where(far, steps + 1, 0).max(axis=2)[..., None]  # (A, S, 1)
+    arrival = np.where(arrival > steps[-1] - while_standing, steps[-1], arrival)
     index = np.minimum(steps, arrival)[..., None]
     held = np.take_along_axis(states, np.broadcast_to(index, states.shape), axis=2)[:, :, 1:]
     speeds = np.where(steps[1:] > arrival, 0.0, held[..., 3])

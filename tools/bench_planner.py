@@ -133,7 +133,7 @@ def street(agents: int, seed: int = 0) -> "tuple[np.ndarray, np.ndarray, Any, li
     for row, column in rng.integers(0, cells - 20, (6, 2)):
         blocked[row : row + 15, column : column + 12] = True
     wishes = [
-        Objective("waypoint", {"goal": torch.from_numpy(goal), "temperature": 0.2}),
+        Objective("waypoint", {"goal": torch.from_numpy(goal), "temperature": 0.05}),
         Objective("agent_avoid"),
         Objective("obstacle_avoid"),
     ]

@@ -2,14 +2,25 @@
 
 import argparse
 import dataclasses
+import functools
 import json
+import os
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from ..models.trace.crowd_file import Crowds
-from ..models.trace.evaluation import GUIDES, Report, TrialScenes, evaluate, evaluate_filter
+from ..models.trace.evaluation import (
+    GUIDES,
+    Choice,
+    Report,
+    TrialScenes,
+    Wishes,
+    evaluate,
+    evaluate_filter,
+    no_wish,
+)
 from ..models.trace.guidance import Guidance
 from ..models.trace.network import Trace
 from ..models.trace.planner import WEIGHTS, Sampling, TracePlanner
@@ -22,9 +33,11 @@ from .eval_trace_paper import Row
 from .eval_trace_pictures import draw_guides, draw_samples
 from .results import write_section
 
-QUICK_SCENES = 10
-UNGUIDED = Sampling(solver="dpm", steps=20, samples=3)
-WARM = dataclasses.replace(UNGUIDED, temperature=1.03)
+QUICK_SCENES = 4
+WORKERS = os.cpu_count() or 1
+UNGUIDED = Sampling(solver="ddpm", samples=3, context_weight=0.5)
+"""As the paper's: the unguided row of its table 1 is that of w = 0.5 in its table 7."""
+FEW_STEPS = Sampling(samples=3)
 SEVERAL = Sampling(samples=20)
 SLOW = Sampling(solver="ddim", steps=20, samples=20)
 METHODS: dict[str, tuple[Sampling, Guidance]] = {
@@ -160,33 +173,40 @@ def guide_error(guide: str, report: Report) -> float | None:
     return errors.get(guide, report.waypoint)
 
 
+def evaluate_all(
+    scenes: TrialScenes, planner: TracePlanner, wishes: Wishes = no_wish, choice: Choice = "guide"
+) -> Report:
+    """`evaluate` with a scene a core."""
+    return evaluate(planner, scenes, wishes, choice, time.process_time, WORKERS)
+
+
 def table_1(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
     """Guides by methods."""
-    clock, config = time.process_time, trace.config.name
-    methods = list(args.methods)
+    judge = functools.partial(evaluate_all, scenes)
+    config, methods = trace.config.name, list(args.methods)
     if "vae" in methods and not VAE_WEIGHTS.is_file():
         methods.remove("vae")
     filtered = {}
     if "filter" in methods and (chosen := {g: GUIDES[g] for g in args.guides if g != "none"}):
-        filtered = evaluate_filter(TracePlanner(trace, SEVERAL), scenes, chosen, clock)
+        filtered = evaluate_filter(TracePlanner(trace, SEVERAL), scenes, chosen, time.process_time, WORKERS)
 
     def reports(guide: str) -> Iterator[tuple[str, Report]]:
         if guide == "none":
-            for name, sampling in (("unguided", UNGUIDED), (f"noise x {WARM.temperature}", WARM)):
-                yield name, evaluate(TracePlanner(trace, sampling), scenes, choice="every", clock=clock)
+            for name, sampling in (
+                (f"{UNGUIDED.solver} 100, w {UNGUIDED.context_weight:g}", UNGUIDED),
+                (f"{FEW_STEPS.solver} {FEW_STEPS.steps}", FEW_STEPS),
+            ):
+                yield name, judge(TracePlanner(trace, sampling), choice="every")
             if "vae" in methods:
-                yield "vae", evaluate(VaePlanner(load_vae()[0], 3), scenes, choice="every", clock=clock)
+                yield "vae", judge(VaePlanner(load_vae()[0], 3), choice="every")
             return
         for method in methods:
             if method == "filter":
                 yield method, filtered[guide]
             elif method == "vae":
-                yield method, evaluate(VaePlanner(load_vae()[0], 20), scenes, GUIDES[guide], clock=clock)
+                yield method, judge(VaePlanner(load_vae()[0], 20), GUIDES[guide])
             else:
-                yield (
-                    method,
-                    evaluate(TracePlanner(trace, *METHODS[method]), scenes, GUIDES[guide], clock=clock),
-                )
+                yield method, judge(TracePlanner(trace, *METHODS[method]), GUIDES[guide])
 
     for guide in args.guides:
         yield from (row for row in paper.TABLE_1 if row["guide"] == guide)
@@ -208,7 +228,7 @@ def table_5(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
     if VAE_WEIGHTS.is_file():
         planners["VAE"] = VaePlanner(load_vae()[0], 20)
     for name, planner in planners.items():
-        report = evaluate(planner, scenes, choice="truth")
+        report = evaluate_all(scenes, planner, choice="truth")
         yield {"method": name, "ade": report.ade, "fde": report.fde, **metrics(report)}
 
 
@@ -217,7 +237,7 @@ def table_7(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
     yield from paper.TABLE_7
     for weight in WEIGHTS_OF_CONTEXT:
         sampling = dataclasses.replace(UNGUIDED, context_weight=weight)
-        report = evaluate(TracePlanner(trace, sampling), scenes, choice="every")
+        report = evaluate_all(scenes, TracePlanner(trace, sampling), choice="every")
         yield {"w": weight, "method": trace.config.name, **metrics(report)}
 
 
@@ -232,7 +252,7 @@ def table_samplers(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) 
             sampling = Sampling(solver=solver, steps=steps, samples=3 if guide == "none" else 20)  # pyright: ignore[reportArgumentType]
             planner = TracePlanner(trace, sampling, Guidance(mode="direct"))
             choice = "every" if guide == "none" else "guide"
-            report = evaluate(planner, scenes, GUIDES[guide], choice, time.process_time)
+            report = evaluate_all(scenes, planner, GUIDES[guide], choice)
             reference = reference or (report.waypoint if guide == "all" else None)
             ratio = report.waypoint / reference if guide == "all" and reference else None
             labels: Row = {"sampler": f"{solver} {steps}", "guide": guide}

@@ -54,7 +54,7 @@ def add_parser(subparsers) -> None:
         "--data", type=Path, nargs="+", default=[folder / "maps.npz", folder / "interact.npz"]
     )
     parser.add_argument(
-        "--start", type=Path, help="weights to begin with instead of random ones; they bring their statistics"
+        "--init", type=Path, help="weights to begin with instead of random ones; they bring their statistics"
     )
     parser.add_argument("--out", type=Path, default=None, help="folder (default runs/MODEL_CONFIG)")
     parser.add_argument("--steps", type=int, default=40000, help="optimiser steps (default %(default)s)")
@@ -108,8 +108,8 @@ class TrainingRun:
         self.train = [CrowdWindows(s, "train", config, mirror=True) for s in sets]
         self.val = [CrowdWindows(s, "val", config, stride=4) for s in sets]
         fit_statistics(self.trace, self.train, torch.Generator().manual_seed(args.seed))
-        if args.start:
-            self.begin_with(args.start)
+        if args.init:
+            self.begin_with(args.init)
         self.schedule = CosineSchedule(config.diffusion_steps)
         self.optimizer = torch.optim.AdamW(
             self.trace.parameters(), lr=args.rate, weight_decay=1e-4, fused=True

@@ -22,7 +22,9 @@ class TraceConfig:
         map_encoder: `grid` learns a feature grid from an ego-frame raster crop; `distance` reads the
             signed distance field of the scene around every trajectory point and on a coarse ego-frame
             lattice.
-        interaction: Feed the field of neighbours extrapolated at constant velocity along the trajectory.
+        interaction: Feed the field of neighbours along the trajectory.
+        nearest: How many of the nearest neighbours are also fed one by one, with direction and distance, which
+            the field blurs: whether two discs touch is a matter of centimetres.
         joint: Neighbours that are denoised together follow their own noisy trajectories in that field: what
             is learned is the score of the scene, not of one person among people who walk straight on.
         widths: Channels of the U-Net levels; the time axis halves between levels.
@@ -51,6 +53,7 @@ class TraceConfig:
     map_layers: tuple[str, ...] = ("obstacle",)
     map_encoder: Literal["grid", "distance"] = "distance"
     interaction: bool = True
+    nearest: int = 0
     joint: bool = False
     widths: tuple[int, ...] = (64, 128)
     kernel: int = 5
@@ -84,7 +87,7 @@ class TraceConfig:
         return cls(**fixed)
 
 
-COMPACT = TraceConfig(joint=True, skip=0.02)
+COMPACT = TraceConfig(nearest=2, joint=True, skip=0.02)
 
 PAPER = TraceConfig(
     name="paper",

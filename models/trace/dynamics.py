@@ -10,6 +10,7 @@ not (its speeds ring). All sums over time are parallel (`cumsum`).
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -56,7 +57,7 @@ class _Rollout(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, state: Tensor, actions: Tensor, dt: float, limits: UnicycleLimits) -> Tensor:
-        low, high = _bounds(actions, limits)
+        low, high = _bounds(limits, actions.dtype, actions.device)
         bounded = torch.maximum(torch.minimum(actions, high), low)
         rates = torch.cumsum(bounded, -2) * dt + state[..., [3, 2]].unsqueeze(-2)
         speed, heading = rates.unbind(-1)
@@ -76,7 +77,7 @@ class _Rollout(torch.autograd.Function):
         by_speed = grad[..., 3] + (cos * x + sin * y) * ctx.dt
         by_heading = grad[..., 2] + (cos * y - sin * x) * speed * ctx.dt
         by_rates = _sum_ahead(torch.stack([by_speed, by_heading], -1))
-        low, high = _bounds(actions, ctx.limits)
+        low, high = _bounds(ctx.limits, actions.dtype, actions.device)
         by_actions = by_rates * ctx.dt * ((actions >= low) & (actions <= high))
         by_state = None
         if ctx.needs_input_grad[0]:
@@ -84,10 +85,14 @@ class _Rollout(torch.autograd.Function):
         return by_state, by_actions, None, None
 
 
-def _bounds(actions: Tensor, limits: UnicycleLimits) -> tuple[Tensor, Tensor]:
+@lru_cache(maxsize=8)
+def _bounds(limits: UnicycleLimits, kind: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
     """Lower and upper bounds (2,) of actions."""
     low, high = limits.acceleration
-    return actions.new_tensor([low, -limits.yaw_rate]), actions.new_tensor([high, limits.yaw_rate])
+    return (
+        torch.tensor([low, -limits.yaw_rate], dtype=kind, device=device),
+        torch.tensor([high, limits.yaw_rate], dtype=kind, device=device),
+    )
 
 
 def _sum_ahead(x: Tensor) -> Tensor:

@@ -1,13 +1,15 @@
 """Open-loop evaluation on the test scenes of a set of crowds (Rempe et al. 2023, sec. 4.1)."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..crowd.planning import Futures
 from .config import TraceConfig
 from .crowd_file import SPLITS, Crowds
 from .guidance import choose_samples, labelled
@@ -24,6 +26,8 @@ from .objectives import Future, Objective
 from .planner import TracePlanner
 from .scene_map import SceneMaps
 from .windows import CrowdWindows
+
+Found = TypeVar("Found")
 
 WAYPOINT_FRAME = 40  # the waypoint is where the person truly is after four seconds
 
@@ -174,7 +178,7 @@ def avoid_agents(scene: TrialScene) -> list[Objective]:
 
 def reach_waypoint(scene: TrialScene) -> list[Objective]:
     """Pass the waypoint at any time."""
-    return [Objective("waypoint", {"goal": torch.from_numpy(scene.goal), "temperature": 0.2})]
+    return [Objective("waypoint", {"goal": torch.from_numpy(scene.goal), "temperature": 0.05})]
 
 
 def everything(scene: TrialScene) -> list[Objective]:
@@ -200,6 +204,7 @@ def evaluate(
     wishes: Wishes = no_wish,
     choice: Choice = "guide",
     clock: Callable[[], float] = lambda: 0.0,
+    workers: int = 1,
 ) -> Report:
     """Plan every test scene and count.
 
@@ -211,12 +216,16 @@ def evaluate(
             (tables 5 and 6); or `every` one, as a run of its own, with the figures of the runs averaged
             (unguided rows, app. C.5: three runs).
         clock: CPU seconds, for the report.
+        workers: Scenes planned at a time; the figures do not depend on it.
     """
     samples = planner.sampling.samples
     tallies = [Tally(scenes.dt) for _ in range(samples if choice == "every" else 1)]
     begun = clock()
-    for seed, scene in enumerate(scenes):
-        plan = planner.plan(scene.states, scene.size, scene.maps, wishes(scene), seed=seed)
+
+    def plan_scene(scene: TrialScene, seed: int) -> Futures:
+        return planner.plan(scene.states, scene.size, scene.maps, wishes(scene), seed=seed)
+
+    for scene, plan in _with_each(scenes, plan_scene, workers):
         for run, tally in enumerate(tallies):
             chosen = np.full(len(plan.chosen), run) if choice == "every" else plan.chosen
             if choice == "truth":
@@ -231,6 +240,7 @@ def evaluate_filter(
     scenes: TrialScenes,
     guides: Mapping[str, Wishes],
     clock: Callable[[], float] = lambda: 0.0,
+    workers: int = 1,
 ) -> dict[str, Report]:
     """Choose among the same unguided samples by several guides (TRACE-Filter of table 1).
 
@@ -239,21 +249,41 @@ def evaluate_filter(
         scenes: Test scenes.
         guides: Objectives by name.
         clock: CPU seconds, for the reports.
+        workers: Scenes planned at a time.
     """
     tallies = {name: Tally(scenes.dt) for name in guides}
     begun = clock()
-    for seed, scene in enumerate(scenes):
+
+    def choose(scene: TrialScene, seed: int) -> tuple[Array, dict[str, NDArray[np.int_]]]:
         plan = planner.plan(scene.states, scene.size, scene.maps, seed=seed)
         now, radius = scene.states[:, -1], scene.size.max(1).values / 2
         states = planner.world_states(plan.actions, now)
         future = Future(states, now, radius, scenes.dt, scene.maps, seed=seed)
+        chosen = {}
         for name, wishes in guides.items():
             objectives = wishes(scene)
             losses = {label: wish.loss(future) for label, wish in labelled(objectives)}
-            chosen = choose_samples(losses, objectives).numpy()
-            tallies[name].add(scene, plan.positions, chosen)
+            chosen[name] = choose_samples(losses, objectives).numpy()
+        return plan.positions, chosen
+
+    for scene, (positions, chosen) in _with_each(scenes, choose, workers):
+        for name, tally in tallies.items():
+            tally.add(scene, positions, chosen[name])
     seconds = (clock() - begun) / len(scenes)
     return {name: tally.report(seconds) for name, tally in tallies.items()}
+
+
+def _with_each(
+    scenes: TrialScenes, work: Callable[[TrialScene, int], Found], workers: int
+) -> Iterator[tuple[TrialScene, Found]]:
+    """Every scene and what is found for it and its number, in order, so many at a time."""
+    trials, threads = list(scenes), torch.get_num_threads()
+    torch.set_num_threads(max(1, threads // workers))  # of each worker
+    try:
+        with ThreadPoolExecutor(workers) as pool:
+            yield from zip(trials, pool.map(work, trials, range(len(trials))), strict=True)
+    finally:
+        torch.set_num_threads(threads)
 
 
 def average(reports: Sequence[Report]) -> Report:

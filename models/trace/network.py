@@ -122,7 +122,7 @@ class Trace(ActionModel):
     def __init__(self, config: TraceConfig):
         super().__init__(config)
         self.step = StepEmbedding(config.step_width)
-        inputs = 6 + self.map_encoder.queries + (6 if config.interaction else 0)
+        inputs = 6 + self.map_encoder.queries + (6 if config.interaction else 0) + 3 * config.nearest
         condition = config.context_width + config.step_width
         shape = (config.widths, condition, config.kernel, config.activation, config.fold)
         self.unet = TemporalUNet(inputs, 2, *shape)
@@ -148,9 +148,12 @@ class Trace(ActionModel):
         with torch.no_grad():
             positions = trajectory[..., :2].detach()
             queries = [self.map_encoder.query(encoding.map, positions)]
-            if self.config.interaction:
+            if self.config.interaction or self.config.nearest:
                 crowd = self._crowd_paths(positions, encoding, neighbors)
+            if self.config.interaction:
                 queries.append(crowd_field(positions, crowd))
+            if self.config.nearest:
+                queries.append(nearest_neighbors(positions, crowd, self.config.nearest))
         normal = (trajectory - self.trajectory_mean) / self.trajectory_std
         if encoding.map.grid is not None:  # a learned grid is trained through its queries
             queries[0] = self.map_encoder.query(encoding.map, positions)
@@ -202,3 +205,28 @@ def crowd_field(positions: Tensor, crowd: Tensor, scales: tuple[float, float] = 
         weight = torch.exp(square * (-0.5 / scale**2)) * crowd[..., 2]  # (B, N, T)
         fields += [weight.sum(1)[..., None], (weight[..., None] * relative).sum(1) / scale]
     return torch.cat(fields, -1)
+
+
+def nearest_neighbors(positions: Tensor, crowd: Tensor, count: int, reach: float = 2.0) -> Tensor:
+    """Direction and closeness of the nearest neighbours at each trajectory point and time, nearest first.
+
+    Args:
+        positions: (B, T, 2) [m].
+        crowd: (B, N, T, 3) positions at the same times and presence.
+        count: How many; fewer neighbours leave zeros.
+        reach: Distance from which on a neighbour is not there [m].
+
+    Returns:
+        (B, T, 3 * count): of each the direction times the closeness, which is `reach` less the distance [m],
+        and the closeness itself.
+    """
+    relative = crowd[..., :2] - positions[:, None]
+    distance = relative.square().sum(-1).sqrt().masked_fill(crowd[..., 2] <= 0, reach)
+    missing = max(count - distance.shape[1], 0)
+    distance = torch.nn.functional.pad(distance, (0, 0, 0, missing), value=reach)
+    relative = torch.nn.functional.pad(relative, (0, 0, 0, 0, 0, missing))
+    distance, index = distance.topk(count, 1, largest=False)  # (B, count, T)
+    relative = relative.gather(1, index[..., None].expand(-1, -1, -1, 2))
+    close = (reach - distance).clamp(min=0.0)[..., None]
+    features = torch.cat([relative * close / distance.clamp(min=1e-3)[..., None], close], -1)
+    return features.transpose(1, 2).flatten(2)

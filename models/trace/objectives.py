@@ -169,5 +169,6 @@ def per_agent(values: Tensor | float, agents: int, inner: int = 0) -> tuple[Tens
             f"the first counts the {agents} agents"
         )
     given = torch.isfinite(value.reshape(agents, -1)).all(-1)
-    value = torch.where(given.reshape(-1, *[1] * inner), value, 0.0)
+    if not given.all():
+        value = torch.where(given.reshape(-1, *[1] * inner), value, 0.0)
     return value.reshape(agents, 1, *value.shape[1:]), given[:, None]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -93,16 +94,27 @@ class SceneMaps:
         Returns:
             (B, P, C) signed distances [m].
         """
-        scenes, channels, rows, columns = self.distance.shape
+        rows, columns = self.distance.shape[2:]
         cell = (points - self.origin[scene][:, None]) / self.resolution
         x = cell[..., 0].clamp(0, columns - 1)
         y = cell[..., 1].clamp(0, rows - 1) + (scene * rows)[:, None]
-        # All scenes are stacked into one tall picture, so that one call serves every agent of every scene.
-        tall = self.distance.transpose(0, 1).reshape(1, channels, scenes * rows, columns)
-        scale = torch.tensor([max(columns - 1, 1), max(scenes * rows - 1, 1)], dtype=points.dtype)
-        grid = 2 * torch.stack([x, y], -1) / scale - 1
-        values = F.grid_sample(tall, grid[None], mode="bilinear", padding_mode="border", align_corners=True)
+        grid = torch.stack([x, y], -1) * self._scale - 1
+        values = F.grid_sample(
+            self._tall, grid[None], mode="bilinear", padding_mode="border", align_corners=True
+        )
         return values[0].permute(1, 2, 0)
+
+    @cached_property
+    def _tall(self) -> Tensor:
+        """(1, C, S * H, W): all scenes in one tall picture, so that one call serves every agent of every scene."""
+        scenes, channels, rows, columns = self.distance.shape
+        return self.distance.transpose(0, 1).reshape(1, channels, scenes * rows, columns)
+
+    @cached_property
+    def _scale(self) -> Tensor:
+        """(2,) from columns and rows of the tall picture to twice the share of it."""
+        rows, columns = self._tall.shape[2:]
+        return 2 / torch.tensor([max(columns - 1, 1), max(rows - 1, 1)])
 
 
 def signed_distance(mask: np.ndarray, resolution: float) -> np.ndarray:

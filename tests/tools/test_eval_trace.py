@@ -106,10 +106,11 @@ def test_filtering_chooses_what_guided_sampling_would_count(crowds):
     assert report.waypoint == pytest.approx(np.mean(nearest), abs=0.02)  # the loss is a soft minimum
 
 
-def test_every_run_counts_and_the_figures_are_averaged(crowds):
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_run_counts_and_the_figures_are_averaged(crowds, workers):
     scenes = TrialScenes(replace(crowds, split=np.full(10, 2, np.uint8)), COMPACT, limit=2)
     planner = TracePlanner(Trace(COMPACT).eval(), Sampling(steps=2, samples=2, reduced=False))
-    report = evaluate(planner, scenes, choice="every")
+    report = evaluate(planner, scenes, choice="every", workers=workers)
     plans = [planner.plan(s.states, s.size, s.maps, seed=n) for n, s in enumerate(scenes)]
     missed = [
         np.linalg.norm(plan.positions[:, run] - scene.goal[:, None], axis=-1).min(-1)

@@ -47,14 +47,14 @@ def test_training_goes_on_from_given_weights(data, tmp_path, capsys):
     assert run(data, tmp_path / "first", steps=1) == 0
     given = tmp_path / "first" / "model.safetensors"
     assert (
-        run(data, tmp_path / "second", "--start", str(given), "--seed", "5", "--rate", "1e-9", steps=1) == 0
+        run(data, tmp_path / "second", "--init", str(given), "--seed", "5", "--rate", "1e-9", steps=1) == 0
     )
     (first, _), (second, facts) = (
         load_model(tmp_path / x / "model.safetensors") for x in ("first", "second")
     )
     near = [torch.allclose(v, second.state_dict()[k], atol=1e-6) for k, v in first.state_dict().items()]
     assert all(near) and facts["data"][-1]["name"] == "start"
-    assert run(data, tmp_path / "third", "--start", str(given), "--config", "paper", steps=1) == 2
+    assert run(data, tmp_path / "third", "--init", str(given), "--config", "paper", steps=1) == 2
     assert "another configuration" in capsys.readouterr().err
-    assert run(data, tmp_path / "third", "--start", str(given), "--model", "vae", steps=1) == 2
+    assert run(data, tmp_path / "third", "--init", str(given), "--model", "vae", steps=1) == 2
     assert "another model" in capsys.readouterr().err

@@ -5,7 +5,7 @@ import torch
 
 from footfall.models.trace.config import COMPACT, PAPER, TraceConfig
 from footfall.models.trace.context import ego_context, scene_context, to_frame
-from footfall.models.trace.network import Trace, crowd_field
+from footfall.models.trace.network import Trace, crowd_field, nearest_neighbors
 from footfall.models.trace.scene_map import SceneMaps
 from footfall.models.trace.weights import WeightsError, load_model, save_model, save_tensors
 
@@ -186,6 +186,17 @@ def test_crowd_field_of_one_neighbor():
     assert torch.allclose(field[0, 0, :3], torch.stack([weight, weight, torch.tensor(0.0)]))
     assert field[0, 1].abs().max() < 1e-3
     assert crowd_field(positions, crowd * torch.tensor([1.0, 1.0, 0.0])).abs().max() == 0
+
+
+def test_nearest_neighbors_come_in_order_and_the_absent_and_far_not_at_all():
+    here = torch.tensor([[[1.0, 1.0]]])
+    far, near, absent = [1.0, 2.5, 1.0], [1.0 - 0.3, 1.4, 1.0], [1.0, 1.1, 0.0]
+    crowd = torch.tensor([[[far], [near], [absent]]])
+    found = nearest_neighbors(here, crowd, 2)[0, 0]
+    assert torch.allclose(found, torch.tensor([-0.6 * 1.5, 0.8 * 1.5, 1.5, 0.0, 0.5, 0.5]))
+    assert torch.allclose(nearest_neighbors(here, crowd, 4)[0, 0, 6:], torch.zeros(6))
+    assert nearest_neighbors(here, crowd[:, :0], 2).abs().max() == 0
+    assert nearest_neighbors(here + 9.0, crowd, 2).abs().max() == 0
 
 
 def test_weights_return_as_they_were(tmp_path):
