@@ -148,12 +148,7 @@ class Trace(ActionModel):
         with torch.no_grad():
             positions = trajectory[..., :2].detach()
             queries = [self.map_encoder.query(encoding.map, positions)]
-            if self.config.interaction or self.config.nearest:
-                crowd = self._crowd_paths(positions, encoding, neighbors)
-            if self.config.interaction:
-                queries.append(crowd_field(positions, crowd))
-            if self.config.nearest:
-                queries.append(nearest_neighbors(positions, crowd, self.config.nearest))
+            queries += self._crowd_queries(positions, encoding, neighbors)
         normal = (trajectory - self.trajectory_mean) / self.trajectory_std
         if encoding.map.grid is not None:  # a learned grid is trained through its queries
             queries[0] = self.map_encoder.query(encoding.map, positions)
@@ -162,6 +157,15 @@ class Trace(ActionModel):
         out = self.unet(torch.cat([normal, *queries], -1).to(kind), condition.to(kind)).to(noisy.dtype)
         a, skip = self.signal[k][:, None, None], self.config.skip
         return (skip * a.sqrt() * noisy + (1 - a) * out) / (skip * a + 1 - a)
+
+    def _crowd_queries(self, positions: Tensor, encoding: Encoding, neighbors: Tensor | None) -> list[Tensor]:
+        """What is seen of the neighbours along trajectories (B, T, 2): (B, T, ...) each."""
+        config = self.config
+        if not (config.interaction or config.nearest):
+            return []
+        crowd = self._crowd_paths(positions, encoding, neighbors)
+        fields = [crowd_field(positions, crowd)] if config.interaction else []
+        return fields + ([nearest_neighbors(positions, crowd, config.nearest)] if config.nearest else [])
 
     def _crowd_paths(self, positions: Tensor, encoding: Encoding, actions: Tensor | None) -> Tensor:
         """(B, N, T, 3) where the neighbours walk, in the ego frame, and their presence."""

@@ -46,9 +46,7 @@ def test_the_vae_learns_and_is_read_back(data, tmp_path):
 def test_training_goes_on_from_given_weights(data, tmp_path, capsys):
     assert run(data, tmp_path / "first", steps=1) == 0
     given = tmp_path / "first" / "model.safetensors"
-    assert (
-        run(data, tmp_path / "second", "--init", str(given), "--seed", "5", "--rate", "1e-9", steps=1) == 0
-    )
+    assert run(data, tmp_path / "second", "--init", str(given), "--seed", "5", "--rate", "1e-9", steps=1) == 0
     (first, _), (second, facts) = (
         load_model(tmp_path / x / "model.safetensors") for x in ("first", "second")
     )

@@ -94,9 +94,11 @@ def test_a_plan_of_many_agents_equals_plans_of_few(trace):
     states[1, :, 1] = 40.0  # too far to see each other
     wishes = [Objective("target_speed", {"speed": 1.8})]
     planner = TracePlanner(trace, Sampling(samples=4, reduced=False))
-    both = planner.plan(states, size, objectives=wishes)
-    alone = planner.plan(states[:1], size[:1], objectives=wishes)
-    assert np.allclose(both.positions[0], alone.positions[0], atol=1e-3)
+    # A step to where a small loss vanishes is its quotient by a small gradient: rounding grows to millimetres.
+    for asked, tolerance in (([], 1e-5), (wishes, 1e-2)):
+        both = planner.plan(states, size, objectives=asked)
+        alone = planner.plan(states[:1], size[:1], objectives=asked)
+        assert np.allclose(both.positions[0], alone.positions[0], rtol=0, atol=tolerance)
 
 
 def test_classifier_free_weight_minus_one_ignores_the_crowd(trace):
