@@ -193,7 +193,10 @@ def table_1(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
     def reports(guide: str) -> Iterator[tuple[str, Report]]:
         if guide == "none":
             for name, sampling in (
-                (f"{UNGUIDED.solver} 100, w {UNGUIDED.context_weight:g}", UNGUIDED),
+                (
+                    f"{UNGUIDED.solver} {trace.config.diffusion_steps}, w {UNGUIDED.context_weight:g}",
+                    UNGUIDED,
+                ),
                 (f"{FEW_STEPS.solver} {FEW_STEPS.steps}", FEW_STEPS),
             ):
                 yield name, judge(TracePlanner(trace, sampling), choice="every")
