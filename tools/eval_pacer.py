@@ -21,7 +21,7 @@ from .eval_pacer_tables import tell_steps, tell_table
 
 COURSE_SEED = 4242
 """Of the ground that is judged on; that of training has small seeds."""
-COURSE = CourseSettings(levels=5, columns=9, tile=10.0, border=25.0)
+COURSE = CourseSettings(levels=5, columns=9, tile=10.0, border=25.0, cell=0.05)
 BUILDS = ((1.5, 50), (1.5, 75), (1.75, 55), (1.75, 80), (1.75, 110), (2.0, 70), (2.0, 110))
 """Stature [m] and mass [kg] of `--bodies extreme`."""
 GROUNDS = ("flat", "random", "obstacles", "crowd")

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 HeightAt = Callable[[Array], Array]
 """Ground height (m,) in m at world points (m, 2)."""
 
-_SHIFTS = np.linspace(-0.15, 0.15, 7)  # m: footholds tried on broken ground
+_SHIFTS = np.linspace(-1.0, 1.0, 7)  # footholds tried on broken ground: shares of the feet's reach
 _SOLE = np.linspace(0.0, 1.0, 5)  # shares of the sole's length at which the ground is felt
 _ROUGH = 0.015  # m: bump under the sole that counts as broken ground
 _STEEPEST = 0.9  # rise over run of a ground the foot lies on; steeper is an edge
@@ -30,21 +30,24 @@ def settle(s: State, feet: tuple[NDArray[np.intp], ...], height_at: HeightAt) ->
     Returns:
         Places (k, 6), x y z yaw pitch roll.
     """
-    heel, tip, goal = s["heel"][feet][:, 0], s["tip"][feet][:, 0], s["goal"][feet]
+    heel, tip, goal = s["heel"][feet][:, 0], s["tip"][feet][:, 0], s["goal"][feet].copy()
+    offset = s["offset"][feet[0]]
+    goal[:, :2] += offset
     height = _ground_under(goal, heel, tip, np.zeros(len(heel)), height_at)
     slope, rough = _line_fit(height, heel, tip)
     shift = np.zeros(len(heel))
-    broken = np.flatnonzero(rough > _ROUGH)
+    reach = s["reach"][feet[0]]
+    broken = np.flatnonzero((rough > _ROUGH) & (reach > 0.0))
     if broken.size:
         before = s["shift"][feet][broken]
-        tried = np.repeat(_SHIFTS[:, None], broken.size, 1)  # (c, b)
+        tried = _SHIFTS[:, None] * reach[broken]  # (c, b)
         toe, back = np.tile(tip[broken], len(_SHIFTS)), np.tile(heel[broken], len(_SHIFTS))
         under = _ground_under(np.tile(goal[broken], (len(_SHIFTS), 1)), back, toe, tried.ravel(), height_at)
         steep, bumps = _line_fit(under, back, toe)
         bumps = bumps.reshape(tried.shape)
         cost = 3.0 * np.maximum(bumps - _ROUGH, 0.0) + 0.3 * np.abs(tried) + 0.3 * np.abs(tried - before)
         best, column = cost.argmin(0), np.arange(broken.size)
-        shift[broken], rough[broken] = _SHIFTS[best], bumps[best, column]
+        shift[broken], rough[broken] = tried[best, column], bumps[best, column]
         height[broken] = under.reshape(*tried.shape, -1)[best, column]
         slope[broken] = steep.reshape(tried.shape)[best, column]
     s["shift"][feet] = shift
@@ -60,7 +63,7 @@ def settle(s: State, feet: tuple[NDArray[np.intp], ...], height_at: HeightAt) ->
     sides = height_at(xy.reshape(-1, 2)).reshape(-1, 2)
     tilt = (sides[:, 1] - sides[:, 0]) / 0.08
     tilt = np.where(edge | (np.abs(tilt) > 0.5), 0.0, tilt)
-    x, y = goal[:, 0] + cos * shift, goal[:, 1] + sin * shift
+    x, y = goal[:, 0] + cos * shift - offset[:, 0], goal[:, 1] + sin * shift - offset[:, 1]
     return np.stack([x, y, z, goal[:, 2], -np.arctan(slope), np.arctan(tilt)], axis=-1)
 
 

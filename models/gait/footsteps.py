@@ -26,8 +26,9 @@ _LIFT = 0.04  # share of a swing at its ends in which the foot goes only up or d
 HARDEST_LEAN = 2.5
 """m/s^2: accelerations beyond are not leaned into any further."""
 _QUICK = 0.8  # share by which strides are shorter on ground that rises 1 m/m
+_LATE = 0.1  # share of a swing at its end in which a foot on its way to a lower tread only sinks
 _RISE_PER_STEP = 0.19  # m: a tall tread
-_PATH = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8])  # shares of a swing at which it must clear the ground
+_PATH = np.linspace(0.2, 0.9, 8)  # shares of a swing at which it must clear the ground
 
 
 def stride(s: State) -> tuple[Array, Array]:
@@ -123,9 +124,8 @@ def _track(s: State, position: Array, speed: Array, turn_rate: Array, dt: float)
 
 def _look_ahead(s: State, heading: Array, dt: float, height_at: HeightAt) -> None:
     """Update the steepness of the way from just behind the root to a step ahead of it."""
-    xy = s["position"] + np.array([-0.1, 0.7])[:, None, None] * np.stack(
-        [np.cos(heading), np.sin(heading)], -1
-    )
+    here = s["position"] + s["offset"]
+    xy = here + np.array([-0.1, 0.7])[:, None, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
     height = height_at(xy.reshape(-1, 2)).reshape(2, -1)
     slope = (height[1] - height[0]) / 0.8
     s["climb"] += (slope - s["climb"]) * (1.0 - np.exp(-dt / 0.15))
@@ -231,21 +231,18 @@ def _swing(s: State, swinging: NDArray[np.bool_], height_at: HeightAt) -> None:
     change = end - start
     change[:, 3] = wrap(change[:, 3])
     u = s["swing"][agent, foot][:, None]
-    early = np.clip(
-        step_up(start, end)[:, None] / 0.15, -1.0, 1.0
-    )  # up: climb, then go forward; down: the reverse
+    early = np.clip(step_up(start, end)[:, None] / 0.15, -1.0, 1.0)  # up: climb early; down: sink late
 
     def forward(u: Array) -> Array:
-        up, down = 0.15 * np.maximum(early, 0.0), 0.15 * np.maximum(-early, 0.0)
-        return smoothstep((u - _LIFT - up) / (1.0 - 2.0 * _LIFT - up - down))
+        return smoothstep((u - _LIFT) / (1.0 - 2.0 * _LIFT - _LATE * np.maximum(-early, 0.0)))
 
     def base(u: Array) -> Array:
-        up, down = smoothstep(u * (1.0 + 0.25 * early)), 1.0 - smoothstep((1.0 - u) * (1.0 - 0.25 * early))
+        up, down = smoothstep(u * (1.0 + 0.5 * early)), 1.0 - smoothstep((1.0 - u) * (1.0 - 0.25 * early))
         return start[:, 2:3] + change[:, 2:3] * np.where(early > 0.0, up, down)
 
     # The least arc height that clears the ground under heel, ball and tip all along the way.
     share = forward(_PATH[None])  # (k, 5)
-    along = start[:, None, :2] + share[..., None] * change[:, None, :2]  # (k, 5, 2)
+    along = start[:, None, :2] + share[..., None] * change[:, None, :2] + s["offset"][agent][:, None]
     yaw = start[:, 3:4] + share * change[:, 3:4]
     reach = np.stack([s["heel"][agent, foot, 0], s["toe"][agent, foot, 0], s["tip"][agent, foot, 0]], -1)
     toward = np.stack([np.cos(yaw), np.sin(yaw)], -1)

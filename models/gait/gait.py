@@ -28,6 +28,9 @@ from .state import STATE, State, describe_walker
 Array = NDArray[np.float64]
 
 _FIRST_LEG_JOINT = tuple(BODY_INDEX[name] - 1 for name in ("L_Hip", "R_Hip"))
+_MISPLACED = 0.03  # m above or below where it was meant to stand: a foot farther from there stays where it is
+_YIELD = 0.4  # share of what is beyond by which the gait gives way, per update
+_TRUSTED = 0.45  # of the stride since its landing until a standing foot's heel may be off the ground
 _TELEPORT = 1.0  # m: a root that jumps farther in one update is put there anew
 
 
@@ -166,6 +169,25 @@ class Gait:
         )
         return self._pose(command.heading, dt)
 
+    def feel(self, people: Array, ankles: Array, touching: NDArray[np.bool_]) -> None:
+        """Take in where a body is that walks after this gait on uneven ground.
+
+        The ground is felt where the body is rather than where it should be, and a foot that stands on another
+        tread than it was meant to stays at that height.
+
+        Args:
+            people: (n, 2) m, world: where the body's pelvises are.
+            ankles: (n, 2, 3) m, world: where its ankles are.
+            touching: (n, 2) whether its feet touch the ground.
+        """
+        s = self.state
+        s["offset"] = people - s["position"]
+        error = (ankles - pose.ankle_positions(s, pose.sole_rotation(s["place"])))[..., 2]
+        beyond = error - np.clip(error, -_MISPLACED, _MISPLACED)
+        since = (s["phase"][:, None] + np.array([0.0, 0.5])) % 1.0
+        stands = s["planted"] & touching & (since < _TRUSTED)
+        s["place"][..., 2] += np.where(stands, _YIELD * beyond, 0.0)
+
     def _pose(self, heading: Array, dt: float) -> tuple[Array, Array]:
         s = self.state
         turn, sway, height = pose.pelvis_motion(s)
@@ -198,7 +220,7 @@ class Gait:
         reach = 0.3 + 0.08 * np.minimum(s["speed"], 2.0)
         ahead = reach[:, None] * np.linspace(-1.0, 1.0, 7)
         direction = np.stack([np.cos(heading), np.sin(heading)], -1)
-        xy = s["position"][:, None] + ahead[..., None] * direction[:, None]
+        xy = (s["position"] + s["offset"])[:, None] + ahead[..., None] * direction[:, None]
         return self.height_at(xy.reshape(-1, 2)).reshape(ahead.shape).mean(-1)
 
 

@@ -11,6 +11,8 @@ from ..body.body import BODY_INDEX, Body
 
 State = NDArray[Any]
 
+_REACH = 0.15  # m
+
 STATE = np.dtype(
     [
         ("id", "i8"),
@@ -22,6 +24,7 @@ STATE = np.dtype(
         ("heel", "f8", (2, 3)),  # ankle to the heel's middle, on the sole
         ("tip", "f8", (2, 3)),  # ankle to the toe's tip, on the sole
         ("pelvis_height", "f8"),
+        ("reach", "f8"),  # m by which feet may be shifted so as to stand on one tread
         # Motion of the root.
         ("position", "f8", (2,)),  # world, m
         ("velocity", "f8", (2,)),  # world, m/s, smoothed
@@ -30,6 +33,7 @@ STATE = np.dtype(
         ("speed", "f8"),  # m/s, smoothed
         ("grade", "f8"),  # steepness of the way ahead, smoothed
         ("climb", "f8"),  # the same with its sign: > 0 uphill
+        ("offset", "f8", (2,)),  # m, world: from the root to a body that walks after it; ground is felt there
         ("time", "f8"),  # s since entering
         # Rhythm.
         ("phase", "f8"),  # of the stride, [0, 1), 0 at the left heel strike
@@ -58,4 +62,4 @@ def describe_walker(row: np.void, body: Body) -> None:
         for field, joint in (("hip", "Hip"), ("thigh", "Knee"), ("shank", "Ankle"), ("toe", "Toe")):
             row[field][side] = body.offsets[BODY_INDEX[prefix + joint]]
         row["heel"][side], row["tip"][side] = heel[side], tip[side]
-    row["pelvis_height"] = body.pelvis_height
+    row["pelvis_height"], row["reach"] = body.pelvis_height, _REACH

@@ -24,6 +24,9 @@ SHARES: dict[str, float] = {
 """Kind of ground: its share among tiles, relative to the others' (PACER's settings)."""
 
 
+_BUMP = 0.5  # m between the tops of rough ground
+
+
 class CourseError(ValueError):
     """Ground of an unknown kind or a course without a tile."""
 
@@ -39,7 +42,7 @@ class CourseSettings:
     border: float = 10.0
     """m of flat ground around the tiles."""
     cell: float = 0.1
-    """m between two heights."""
+    """m between two heights; a stair's riser is that deep, and leaves the less room to stand on its tread."""
     platform: float = 3.0
     """m: side of the level place in the middle of slopes and stairs."""
     kinds: tuple[str, ...] = tuple(SHARES)
@@ -101,8 +104,9 @@ def make_tile(kind: str, difficulty: float, settings: CourseSettings, rng: np.ra
     if kind == "slope":
         return up * 0.7 * difficulty * inwards
     if kind == "rough_slope":
-        coarse = rng.uniform(-0.1, 0.1, (n // 5 + 2, n // 5 + 2)) * (0.2 + 0.8 * difficulty)
-        return up * 0.35 * difficulty * inwards + zoom(coarse, 5, order=1)[:n, :n]
+        bump = round(_BUMP / settings.cell)
+        coarse = rng.uniform(-0.1, 0.1, (n // bump + 2, n // bump + 2)) * (0.2 + 0.8 * difficulty)
+        return up * 0.35 * difficulty * inwards + zoom(coarse, bump, order=1)[:n, :n]
     if kind in ("stairs_up", "stairs_down"):
         height = 0.05 + 0.175 * difficulty
         steps = np.floor(inwards / 0.31 + 1e-9)

@@ -21,6 +21,7 @@ from ..gait.norms import GRAVITY, smoothstep
 from ..gait.state import STATE, State, describe_walker
 from .manners import Manners
 from .path_follower import FollowerLimits, PathFollower
+from .swing_dynamics import HINGES, SwingLegs, leg_angles
 
 Array = NDArray[np.float64]
 
@@ -28,10 +29,15 @@ _KNEE_HINGES = [JOINT_INDEX["L_Knee_y"], JOINT_INDEX["R_Knee_y"]]
 _KNEE_STIFFNESS = float(JOINT_GAINS[_KNEE_HINGES[0], 0])  # Nm/rad for people of the reference mass
 _WEIGHT = GRAVITY * GAIN_REFERENCE_MASS  # N
 _UPHILL = 0.1  # rise over run from which knees are stretched in full
+_QUICKEST = 120.0  # rad/s^2: fastest change of a leg's swing
+_COUNTER = (
+    0.6  # share of a swing's hip torque that the standing leg's hip takes; the trunk's inertia has the rest
+)
+_TAKEN_OVER = 0.2  # share of a swing at its ends over which the leg comes off the ground and on to it
 _ON_HEEL, _ON_BALL = -0.08, 0.08  # rad: pitch of a standing foot beyond which ball or heel is off the ground
 
 
-_OWN = ("root", "joints", "velocity", "rates", "_share", "_support")
+_OWN = ("root", "joints", "velocity", "rates", "_share", "_support", "_leg_angles", "_leg_rates")
 
 
 class GaitReference:
@@ -43,6 +49,7 @@ class GaitReference:
         height_at: ground height (m,), m, at world points (m, 2).
         limits: what followers of paths can do.
         manners: how they keep clear of obstacles and each other.
+        swing_torque: whether targets hold the torque that legs need to swing.
     """
 
     def __init__(
@@ -52,6 +59,7 @@ class GaitReference:
         height_at: HeightAt = flat_ground,
         limits: FollowerLimits | None = None,
         manners: Manners | None = None,
+        swing_torque: bool = True,
     ):
         count = len(bodies)
         self.period = period
@@ -63,6 +71,7 @@ class GaitReference:
         self._people["id"] = np.arange(count)
         for row, body in zip(self._people, bodies, strict=True):
             describe_walker(row, body)
+        self._people["reach"] = 0.0  # who is to keep their balance steps where that asks for, edge or not
         self._gait.state = self._people.copy()
         self.root: Array = np.zeros((count, 7))
         """(N, 7) pelvis pose one step ahead, world, m, wxyz."""
@@ -76,6 +85,10 @@ class GaitReference:
         """(N, 2) of the weight on each leg."""
         self._support: Array = np.zeros((count, 69))
         """(N, 69) rad by which PD targets are beyond the pose, so as to hold it under load."""
+        self._swing_torque = swing_torque
+        self._legs = SwingLegs(bodies)
+        self._leg_angles: Array = np.zeros((count, 2, 2))
+        self._leg_rates: Array = np.zeros((count, 2, 2))
 
     def ground(self, height_at: HeightAt, manners: Manners | None) -> None:
         """Walk on other ground from here on, with manners that know what stands on it."""
@@ -87,6 +100,7 @@ class GaitReference:
         """Keep people (n,), in that order, and forget the others."""
         follower = self.follower
         self._people, self._gait.state = self._people[rows], self._gait.state[rows]
+        self._legs.keep(rows)
         for owner, names in (
             (self, _OWN),
             (follower, ("position", "velocity", "heading", "turn_rate", "radius", "bend")),
@@ -99,6 +113,7 @@ class GaitReference:
         self._people = np.concatenate([self._people, other._people])
         self._people["id"] = np.arange(len(self._people))
         self._gait.state = np.concatenate([self._gait.state, other._gait.state])
+        self._legs.join(other._legs)
         for mine, theirs, names in (
             (self, other, _OWN),
             (
@@ -131,7 +146,21 @@ class GaitReference:
         self._share += 0.5 * (share - self._share)
         legs = Legs(s["thigh"], s["shank"])
         sag = _WEIGHT * self._share * legs.lever(self.joints[:, _KNEE_HINGES]) / _KNEE_STIFFNESS
+        self._support[:] = 0.0
         self._support[:, _KNEE_HINGES] = -sag * smoothstep(s["climb"] / _UPHILL)[:, None]
+
+    def _swing(self) -> None:
+        """Move legs that are in the air by the torque it takes, rather than by lagging behind."""
+        angles = leg_angles(self.root, self.joints)
+        rates = (angles - self._leg_angles) / self.period
+        accelerations = np.clip((rates - self._leg_rates) / self.period, -_QUICKEST, _QUICKEST)
+        progress = self.steps["swing"]
+        free = smoothstep(progress / _TAKEN_OVER) * smoothstep((1.0 - progress) / _TAKEN_OVER)
+        shifts = self._legs.shifts(angles, rates, accelerations) * free[..., None]
+        # What swings one leg forward turns the pelvis back, but for the hip of the leg that stands.
+        shifts[..., 0] -= _COUNTER * shifts[:, ::-1, 0] * self.steps["planted"]
+        self._support[:, HINGES] += shifts.reshape(len(shifts), 4)
+        self._leg_angles, self._leg_rates = angles, rates
 
     @property
     def preview(self) -> float:
@@ -183,18 +212,24 @@ class GaitReference:
         self.root[ids], self.joints[ids] = after, next_joints
         self.velocity[ids] = (after[:, :3] - root[:, :3]) / self.period
         self.rates[ids] = (next_joints - joints) / self.period
+        self._leg_angles[ids] = leg_angles(after, next_joints)
+        self._leg_rates[ids] = (self._leg_angles[ids] - leg_angles(root, joints)) / self.period
         twist = np.zeros((len(ids), 6))
         twist[:, :3] = (root[:, :3] - before[:, :3]) / self.period
         return root, joints, twist, (joints - bent) / self.period
 
-    def advance(self, aims: Array, people: Array) -> None:
+    def advance(self, aims: Array, people: Array, ankles: Array, touching: NDArray[np.bool_]) -> None:
         """Move the reference on by one control step.
 
         Args:
             aims: (N, 2) m, world: where the path is `preview` from now.
             people: (N, 2) m, world: where the pelvises are.
+            ankles: (N, 2, 3) m, world: where the ankles are.
+            touching: (N, 2) whether feet touch the ground.
         """
         follower = self.follower
+        if follower.height_at is not None:
+            self._gait.feel(people, ankles, touching)
         follower.advance(aims, people, self.period)
         command = Command.of(follower.position, follower.heading, follower.speed, follower.turn_rate)
         root, joints = self._gait.update(command, self.period)
@@ -202,3 +237,5 @@ class GaitReference:
         self.rates = np.clip((joints - self.joints) / self.period, -12.0, 12.0)
         self.root, self.joints = root, joints
         self._bear()
+        if self._swing_torque:
+            self._swing()

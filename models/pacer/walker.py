@@ -28,7 +28,18 @@ from .paths import HORIZON, Paths
 from .policy import ActorCritic
 from .surface import seen_heights
 from .walker_config import WalkerConfig
-from .walker_observation import LIMIT, WAYPOINTS, Mirror, Motion, People, clearance, driven_hinges, observe
+from .walker_observation import (
+    FEET,
+    LIMIT,
+    WAYPOINTS,
+    Mirror,
+    Motion,
+    People,
+    clearance,
+    driven_hinges,
+    observe,
+    standing,
+)
 from .walker_weights import load_walker
 
 Array = NDArray[np.float64]
@@ -115,7 +126,10 @@ class Walker:
         ahead = np.einsum("nk,nk->n", states[:, 0, 7:9], way)
         speed = np.where(ahead < _RESTING, 0.0, ahead)
         left, right = np.einsum("nfk,nk->fn", states[:, _ANKLES, :2], way)
-        reference = GaitReference(bodies, self.period, self.height_at, self.config.limits, self._manners)
+        config = self.config
+        reference = GaitReference(
+            bodies, self.period, self.height_at, config.limits, self._manners, config.swing_torque
+        )
         start = states[:, 0, :2] - (speed * self.period)[:, None] * way
         facing = np.arctan2(way[:, 1], way[:, 0])
         reference.place(np.arange(len(ids)), start, facing, speed, np.where(left > right, 0.0, 0.5))
@@ -168,8 +182,9 @@ class Walker:
         assert reference is not None and people is not None
         motion = Motion.of_states(states, self.hinges)
         pelvis = states[:, 0, :2]
-        reference.advance(paths.at(times + reference.preview), pelvis)
         clear = clearance(motion.sole_points(people.soles), self.height_at)
+        aims = paths.at(times + reference.preview)
+        reference.advance(aims, pelvis, motion.positions[:, FEET], standing(clear).any(-1))
         way = heading(states[:, 0, 3:7])
         maps = None
         if self.config.map:

@@ -22,7 +22,7 @@ from .paths import Paths, sample_paths, with_stops
 from .style import StyleHistory, feature_count, style_features
 from .surface import seen_heights
 from .walker_config import WalkerConfig
-from .walker_observation import Mirror, Motion, People, clearance, driven_hinges, observe
+from .walker_observation import FEET, Mirror, Motion, People, clearance, driven_hinges, observe, standing
 from .walker_rewards import fallen, reward_errors, slip_speed, weigh
 
 Array = NDArray[np.float64]
@@ -108,7 +108,9 @@ class WalkerEnv:
         """(N,) who is near whom: worlds of one number show people to each other."""
         manners = Manners(int(self.company[-1]) + 1, obstacles) if config.manners else None
         everybody = [bodies[i] for i in self.world.body_index]
-        self.reference = GaitReference(everybody, self.period, self.height_at, config.limits, manners)
+        self.reference = GaitReference(
+            everybody, self.period, self.height_at, config.limits, manners, config.swing_torque
+        )
         self.driven = driven_hinges(self.world.hinges, config.arms)
         self.n_actions = len(self.driven)
         self.rng = np.random.default_rng(seed)
@@ -238,9 +240,9 @@ class WalkerEnv:
 
     def lead(self) -> None:
         """Move the references on, so that they are one step ahead of the people again."""
-        self.reference.advance(
-            self.paths.at(self.times + self.reference.preview), self.motion.positions[:, 0, :2]
-        )
+        positions = self.motion.positions
+        aims = self.paths.at(self.times + self.reference.preview)
+        self.reference.advance(aims, positions[:, 0, :2], positions[:, FEET], standing(self.clear).any(-1))
 
     def fallen(self) -> NDArray[np.bool_]:
         """Whether people (N,) have fallen."""

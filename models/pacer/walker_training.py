@@ -31,7 +31,7 @@ class WalkerTraining(PolicyTraining):
     """
 
     def __init__(self, env: WalkerEnv, config: WalkerConfig, demos: DemoWindows | None = None):
-        env.difficulty, env.learning = 0.0, True
+        env.difficulty, env.learning = config.first_difficulty, True
         env.hardest[:] = 0.0
         super().__init__(env, config)
         self.env = env

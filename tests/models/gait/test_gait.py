@@ -13,7 +13,7 @@ from footfall.models.body import (
     sample_shapes,
     shape_for,
 )
-from footfall.models.gait import Command, Gait, GaitError, flat_ground
+from footfall.models.gait import Command, Gait, GaitError, flat_ground, pose
 
 DT = 1.0 / 30.0
 ANKLES = [BODY_INDEX["L_Ankle"], BODY_INDEX["R_Ankle"]]
@@ -306,6 +306,49 @@ def test_a_copy_lives_its_own_life():
     before = twin.state.tobytes()
     gait.update(Command.of(position, heading, np.full(3, 1.2)), DT)
     assert twin.state.tobytes() == before != gait.state.tobytes()
+
+
+def led_body(ground, offset, sunk=0.0):
+    """A gait along x for 3 s, led by a body that is `offset` from where it should be and stands `sunk` lower."""
+    gait = Gait(ground)
+    gait.enter([0], [ADULT], [[0.0, 0.0]], [0.0], [1.0])
+    for tick in range(1, 91):
+        x = tick * DT
+        gait.update(Command.of([[x, 0.0]], [0.0], [1.0]), DT)
+        ankles = pose.ankle_positions(gait.state, pose.sole_rotation(gait.state["place"]))
+        gait.feel(np.array([[x, 0.0]]) + offset, ankles - [0.0, 0.0, sunk], np.ones((1, 2), dtype=bool))
+    return gait.state[0]
+
+
+def test_ground_is_felt_where_the_body_is():
+    ahead = led_body(GROUNDS["uphill"], np.array([0.2, 0.0]))
+    there = led_body(GROUNDS["uphill"], np.zeros(2))
+    assert ahead["target"][:, 2] - there["target"][:, 2] == pytest.approx(
+        [0.04, 0.04], abs=5e-3
+    )  # 0.2 of 0.2 m
+    np.testing.assert_allclose(ahead["target"][:, :2], there["target"][:, :2], atol=0.02)
+
+
+def test_a_foot_that_stands_lower_than_it_was_meant_to_stays_there():
+    sunk = led_body(flat_ground, np.zeros(2), sunk=0.1)
+    within = led_body(flat_ground, np.zeros(2), sunk=0.02)
+    standing = sunk["planted"]
+    assert standing.any() and (sunk["place"][standing, 2] < -0.05).all()
+    np.testing.assert_allclose(within["place"][within["planted"], 2], 0.0, atol=1e-9)  # as bodies ever are
+
+
+def test_who_does_not_reach_for_treads_steps_across_their_edges():
+    reach = {}
+    for farthest in (0.0, 0.15):
+        gait = Gait(stairs)
+        gait.enter([0], [ADULT], [[0.0, 0.0]], [0.0], [0.8])
+        gait.state["reach"] = farthest
+        shifts = []
+        for tick in range(1, 150):
+            gait.update(Command.of([[0.8 * tick * DT, 0.0]], [0.0], [0.8]), DT)
+            shifts.append(np.abs(gait.state["shift"]).max())
+        reach[farthest] = max(shifts)
+    assert reach[0.0] == 0.0 and 0.02 < reach[0.15] <= 0.15
 
 
 def test_walkers_do_not_depend_on_who_else_is_there():

@@ -21,6 +21,7 @@ from footfall.models.pacer.gait_reference import GaitReference
 from footfall.models.pacer.hinges import hinges_from_states
 from footfall.models.pacer.path_follower import FollowerLimits, PathFollower
 from footfall.models.pacer.paths import Paths, PathSettings, sample_paths, with_stops
+from footfall.models.pacer.swing_dynamics import HINGES
 from footfall.models.pacer.walker_config import CONFIGS
 from footfall.models.pacer.walker_env import WalkerEnv
 from footfall.models.pacer.walker_observation import Mirror, Motion, People, clearance, observe
@@ -317,13 +318,34 @@ def test_the_ground_gets_harder_where_people_do_well_and_easier_where_they_fail(
 def test_knees_are_stretched_uphill_only_and_by_what_the_load_bends():
     slope = {}
     for rise in (-0.3, 0.0, 0.3):
-        reference = GaitReference([describe(shape_for(1.75, 75.0))], 1 / 30, lambda xy, r=rise: r * xy[:, 0])
-        one = np.zeros(1)
-        reference.place(np.arange(1), np.zeros((1, 2)), one, one + 1.0, one)
-        for k in range(60):
-            aim = np.array([[(k + 1) / 30 + reference.preview, 0.0]])
-            reference.advance(aim, aim - [[reference.preview, 0.0]])
+        reference = climber(rise, swing_torque=False)
         slope[rise] = reference.targets(np.arange(69), 0.0) - reference.joints
     assert not slope[0.0].any() and not slope[-0.3].any()
     assert -1.0 < slope[0.3].min() < -0.1 and slope[0.3].max() <= 0.0
     assert set(np.flatnonzero(slope[0.3][0])) <= {JOINT_INDEX["L_Knee_y"], JOINT_INDEX["R_Knee_y"]}
+
+
+def climber(rise, swing_torque, steps=60):
+    """The gait of somebody who has walked up a slope at 1 m/s for a while."""
+    bodies = [describe(shape_for(1.75, 75.0))]
+    reference = GaitReference(bodies, 1 / 30, lambda xy: rise * xy[:, 0], swing_torque=swing_torque)
+    one = np.zeros(1)
+    reference.place(np.arange(1), np.zeros((1, 2)), one, one + 1.0, one)
+    for k in range(steps):
+        aim = np.array([[(k + 1) / 30 + reference.preview, 0.0]])
+        pelvis = aim - [[reference.preview, 0.0]]
+        reference.advance(aim, pelvis, np.zeros((1, 2, 3)), np.zeros((1, 2), dtype=bool))
+    return reference
+
+
+def test_a_leg_that_swings_is_helped_and_the_standing_hip_takes_most_of_the_torque():
+    helped = []
+    for steps in range(40, 75):
+        reference = climber(0.0, swing_torque=True, steps=steps)
+        shifts = (reference.targets(np.arange(69), 0.0) - reference.joints)[0, HINGES].reshape(2, 2)
+        planted = reference.steps["planted"][0]
+        assert not shifts[planted, 1].any()  # a standing knee
+        if planted.sum() == 1:
+            assert shifts[planted, 0] == pytest.approx(-0.6 * shifts[~planted, 0])
+            helped.append(np.abs(shifts[~planted]).max())
+    assert 0.1 < max(helped) <= 0.5

@@ -49,7 +49,7 @@ def aligned(walker, env):
     """Let the walker's references be where those of the environment were a step ago."""
     walker._reference.keep(np.arange(len(env)))
     walker._reference._gait.state[:] = env.reference._gait.state
-    for name in ("root", "joints", "velocity", "rates"):
+    for name in ("root", "joints", "velocity", "rates", "_leg_angles", "_leg_rates"):
         getattr(walker._reference, name)[:] = getattr(env.reference, name)
     for name in ("position", "velocity", "heading", "turn_rate"):
         getattr(walker._reference.follower, name)[:] = getattr(env.reference.follower, name)
