@@ -10,8 +10,11 @@ import torch
 from ..models.motion.library import MotionLibrary, load_clips
 from ..models.pacer.body_masks import MASKS
 from ..models.pacer.tracker_env import TrackerEnv
-from ..models.pacer.tracker_evaluation import evaluate
-from ..models.pacer.weights import load_tracker
+from ..models.pacer.tracker_evaluation import Evaluation, evaluate
+from ..models.pacer.weights import TRACKER, load_tracker
+from .results import Cell, table, write_section
+
+_RUN = 2.2  # m/s: slower clips are walks
 
 
 class EvaluationError(ValueError):
@@ -21,10 +24,14 @@ class EvaluationError(ValueError):
 def add_parser(subparsers) -> None:
     """Add `eval tracker` to the command line."""
     parser = subparsers.add_parser("tracker", help="the motion tracker")
-    parser.add_argument("--model", type=Path, default=Path("runs/tracker_compact/model.safetensors"))
+    parser.add_argument("--model", type=Path, default=TRACKER)
     parser.add_argument("--motions", type=Path, default=Path("data/motions.npz"))
     parser.add_argument("--mask", choices=sorted(MASKS), default="whole", help="what the tracker is told")
     parser.add_argument("--augmented", action="store_true", help="mirror images and bent walks, too")
+    parser.add_argument(
+        "--only", metavar="BEGINNING", default="", help="clips whose names begin so, e.g. cmu_"
+    )
+    parser.add_argument("--write", type=Path, metavar="FILE", help="put a table into this Markdown file")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument(
         "--film",
@@ -47,19 +54,24 @@ def run(args: argparse.Namespace) -> int:
     model, config, facts = load_tracker(args.model)
     clips, bodies = load_clips(args.motions)
     chosen = [clip for clip in clips if args.augmented or "parent" not in clip.tags]
+    chosen = [clip for clip in chosen if clip.name.startswith(args.only)]
+    if not chosen:
+        raise EvaluationError(f"no clip in {args.motions} has a name that begins with {args.only!r}")
     library = MotionLibrary(chosen, bodies)
     result = evaluate(model, library, config, mask=MASKS[args.mask])
-    figures = result.summary() | {"clips": len(library), "samples": facts.get("samples", 0)}
+    figures = result.summary() | {"clips": len(library), "samples": facts["samples"]}
     if args.json:
         print(json.dumps(figures))
     else:
         for i, clip in enumerate(library.clips):
             print(
                 f"{clip.name:<28} {clip.speed:5.2f} m/s  {result.seconds[i]:5.1f} of {clip.duration:5.1f} s  "
-                f"{1e3 * result.relative_error[i]:5.0f} mm  {'' if result.tracked[i] else 'lost'}"
+                f"{1e3 * result.relative_error[i]:5.0f} mm  {_end(result, i)}"
             )
         for name, value in figures.items():
             print(f"{name}: {value:.4g}")
+    if args.write:
+        write_section(args.write, f"tracker-{args.mask}", _table(library, result, args, int(facts["samples"])))
     if args.film or args.rollout:
         names = [clip.name for clip in library.clips]
         wanted = args.clips or names[:: max(len(names) // 6, 1)][:6]
@@ -77,6 +89,34 @@ def run(args: argparse.Namespace) -> int:
                 args.rollout, roll_out(model, config, library, chosen_clips.tolist()), overwrite=True
             )
     return 0
+
+
+def _end(result: Evaluation, clip: int) -> str:
+    """What became of who followed a clip."""
+    return "" if result.tracked[clip] else "fell" if result.fell[clip] else "lost"
+
+
+def _table(library: MotionLibrary, result: Evaluation, args: argparse.Namespace, samples: int) -> str:
+    """How clips were followed, by their speed."""
+    rows: list[list[Cell]] = []
+    for name, low, high in (("all", 0.0, np.inf), ("walks", 0.0, _RUN), ("runs", _RUN, np.inf)):
+        part = (library.speeds >= low) & (library.speeds < high)
+        if part.any():
+            figures = result.take(part).summary()
+            rows.append([name, int(part.sum()), *figures.values()])
+    names = [
+        "share followed to the end",
+        "without a fall",
+        "joint error [mm]",
+        "in the world [mm]",
+        "s followed",
+    ]
+    how = f"`footfall eval tracker --only {args.only}`" if args.only else "`footfall eval tracker`"
+    title = (
+        f"### Recorded motions followed in physics ({how}, told: {args.mask}; {samples / 1e6:.1f} M samples)"
+    )
+    goal = "A clip counts as followed while its joints are less than 0.5 m from the reference, on average."
+    return f"{title}\n\n{goal}\n\n{table(['clips', 'number', *names], rows)}"
 
 
 def _film(path: Path, model, config, library: MotionLibrary, clips: np.ndarray) -> None:

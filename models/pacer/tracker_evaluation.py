@@ -21,7 +21,9 @@ class Evaluation:
     """Per clip (C,), in the order of the library."""
 
     tracked: NDArray[np.bool_]
-    """Whether the clip was followed to its end."""
+    """Whether the clip was followed to its end, never farther than `_LOST` from it."""
+    fell: NDArray[np.bool_]
+    """Whether the person fell before its end, near the clip or not."""
     seconds: NDArray[np.float64]
     """s followed."""
     error: NDArray[np.float64]
@@ -29,10 +31,21 @@ class Evaluation:
     relative_error: NDArray[np.float64]
     """m: the same, both seen from the pelvis."""
 
+    def take(self, clips: NDArray[np.bool_]) -> Evaluation:
+        """That of some of the clips, marked (C,)."""
+        return Evaluation(
+            self.tracked[clips],
+            self.fell[clips],
+            self.seconds[clips],
+            self.error[clips],
+            self.relative_error[clips],
+        )
+
     def summary(self) -> dict[str, float]:
         """Shares and means over clips; errors in mm."""
         return {
             "share of clips tracked to end": float(self.tracked.mean()),
+            "share of clips without a fall": float(1.0 - self.fell.mean()),
             "mean joint error mm": 1e3 * float(np.nanmean(self.relative_error)),
             "mean joint error in the world mm": 1e3 * float(np.nanmean(self.error)),
             "seconds followed": float(self.seconds.mean()),
@@ -57,7 +70,8 @@ def evaluate(
     """
     count = len(library)
     env = TrackerEnv(replace(config, masked=0.0), library, min(worlds, count))
-    tracked, seconds = np.zeros(count, dtype=bool), np.zeros(count)
+    tracked, fell = np.zeros((2, count), dtype=bool)
+    seconds = np.zeros(count)
     error, relative = np.full((2, count), np.nan)
     for first in range(0, count, len(env.world)):
         clips = np.arange(first, min(first + len(env.world), count))
@@ -65,7 +79,7 @@ def evaluate(
         follow = np.concatenate([clips, np.full(len(ids) - len(clips), clips[0])])
         masks = None if mask is None else np.tile(mask, (len(ids), 1))
         env.place(ids, follow, np.zeros(len(ids), dtype=np.intp), masks=masks)
-        alive = np.ones(len(ids), dtype=bool)
+        alive, upright = np.ones((2, len(ids)), dtype=bool)
         sums, steps = np.zeros((2, len(ids))), np.zeros(len(ids))
         lengths = library.lengths[follow]
         for k in range(1, int(lengths.max())):
@@ -73,15 +87,17 @@ def evaluate(
             env.advance(model.act(seen).numpy())
             env.hold_at_end()
             errors = env.errors()
-            running = alive & (k < lengths)
-            alive &= ~(running & ~((errors.places.mean(1) < _LOST) & ~env.fallen()))
-            running &= alive
+            going = k < lengths
+            upright &= ~(going & env.fallen())
+            alive &= ~(going & ~(errors.places.mean(1) < _LOST)) & upright
+            running = going & alive
             sums[:, running] += np.stack([errors.places.mean(1), errors.relative[:, 1:].mean(1)])[:, running]
             steps[running] += 1
-            if not (alive & (k + 1 < lengths)).any():
+            if not (upright & (k + 1 < lengths)).any():
                 break
         rows = slice(0, len(clips))
-        tracked[clips], seconds[clips] = alive[rows], steps[rows] / library.rate_hz
+        tracked[clips], fell[clips] = alive[rows], ~upright[rows]
+        seconds[clips] = steps[rows] / library.rate_hz
         means = sums[:, rows] / np.where(steps[rows] > 0, steps[rows], np.nan)
         error[clips], relative[clips] = means
-    return Evaluation(tracked, seconds, error, relative)
+    return Evaluation(tracked, fell, seconds, error, relative)

@@ -38,7 +38,7 @@ from .walker_observation import (
     clearance,
     driven_hinges,
     observe,
-    standing,
+    touching,
 )
 from .walker_weights import load_walker
 
@@ -184,7 +184,7 @@ class Walker:
         pelvis = states[:, 0, :2]
         clear = clearance(motion.sole_points(people.soles), self.height_at)
         aims = paths.at(times + reference.preview)
-        reference.advance(aims, pelvis, motion.positions[:, FEET], standing(clear).any(-1))
+        reference.advance(aims, pelvis, motion.positions[:, FEET], touching(clear))
         way = heading(states[:, 0, 3:7])
         maps = None
         if self.config.map:

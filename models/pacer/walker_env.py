@@ -22,7 +22,7 @@ from .paths import Paths, sample_paths, with_stops
 from .style import StyleHistory, feature_count, style_features
 from .surface import seen_heights
 from .walker_config import WalkerConfig
-from .walker_observation import FEET, Mirror, Motion, People, clearance, driven_hinges, observe, standing
+from .walker_observation import FEET, Mirror, Motion, People, clearance, driven_hinges, observe, touching
 from .walker_rewards import fallen, reward_errors, slip_speed, weigh
 
 Array = NDArray[np.float64]
@@ -242,7 +242,7 @@ class WalkerEnv:
         """Move the references on, so that they are one step ahead of the people again."""
         positions = self.motion.positions
         aims = self.paths.at(self.times + self.reference.preview)
-        self.reference.advance(aims, positions[:, 0, :2], positions[:, FEET], standing(self.clear).any(-1))
+        self.reference.advance(aims, positions[:, 0, :2], positions[:, FEET], touching(self.clear))
 
     def fallen(self) -> NDArray[np.bool_]:
         """Whether people (N,) have fallen."""

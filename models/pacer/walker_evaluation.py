@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..body import Body, describe, sample_shapes
+from ..body import N_BODIES, Body, describe, sample_shapes
 from ..gait.footholds import HeightAt
 from .courses import Course
 from .paths import PathSettings, sample_paths, with_stops
@@ -50,6 +50,8 @@ class Rollouts:
     """(T, R, 2) whether the left or right foot came down."""
     power: Array
     """(T, R) W/kg; not a number where it was not measured."""
+    jerk: Array
+    """(T, R) m/s^3: mean over the joints of the third difference of their places."""
     style: Array
     """(T, R) reward of a discriminator as PACER reports it; not a number without one."""
     stature: Array
@@ -69,6 +71,7 @@ class Rollouts:
             "disc_reward": _mean(self.style),
             "foot_skate_mps": _mean(self.skate),
             "power_w_per_kg": _mean(self.power),
+            "jerk_mps3": _mean(self.jerk),
             "rollouts": len(self.failed),
             "falls_by_cause": {
                 "fell": int(self.fell.sum()),
@@ -126,7 +129,10 @@ class Measurement:
         self.steps, self._bodies, self._period, self._height_at = steps, bodies, period, height_at
         self._fell: NDArray[np.bool_] = np.zeros(count, dtype=bool)
         self._hit: NDArray[np.bool_] = np.zeros(count, dtype=bool)
-        self._error, self._skate, self._speed, self._power, self._style = np.full((5, steps, count), np.nan)
+        self._error, self._skate, self._speed, self._power, self._jerk, self._style = np.full(
+            (6, steps, count), np.nan
+        )
+        self._trail = np.full((3, count, N_BODIES, 3), np.nan)  # where joints were, latest first
         self._strikes = np.zeros((steps, count, 2), dtype=bool)
         self._ends = np.zeros((count, 2))
         self._discriminator = discriminator
@@ -138,6 +144,7 @@ class Measurement:
         """See everybody where they start."""
         self._points = motion.sole_points(self.people.soles)
         self._clear = clearance(self._points, self._height_at)
+        self._trail[0] = motion.positions
 
     def add(
         self,
@@ -175,6 +182,10 @@ class Measurement:
         self._skate[k, on] = np.where(touching, slip, np.nan)[alive]
         self._speed[k, on] = np.linalg.norm(motion.velocity[alive, :2], axis=-1)
         self._strikes[k, on] = np.asarray(stands & ~stood)[alive]
+        last, second, third = self._trail[:, ids]
+        change = (motion.positions - third - 3.0 * (last - second)) / self._period**3
+        self._jerk[k, on] = np.linalg.norm(change, axis=-1).mean(-1)[alive]
+        self._trail[:, ids] = np.stack([motion.positions, last, second])
         if power is not None:
             self._power[k, on] = power[alive]
         if self._discriminator:
@@ -195,6 +206,7 @@ class Measurement:
             self._speed,
             self._strikes,
             self._power,
+            self._jerk,
             self._style,
             np.array([body.stature for body in self._bodies]),
             np.array([body.mass for body in self._bodies]),

@@ -114,6 +114,11 @@ def standing(clear: Array) -> NDArray[np.bool_]:
     return np.stack([low[..., :2].any(-1), low[..., 2:].any(-1)], -1)
 
 
+def touching(clear: Array) -> NDArray[np.bool_]:
+    """Whether feet (N, 2) touch the ground, from the sole points' clearances (N, 2, 5)."""
+    return np.asarray((clear < TOUCHING).any(-1))
+
+
 def observe(
     motion: Motion,
     people: People,

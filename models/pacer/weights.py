@@ -11,6 +11,9 @@ from .batch_world import Physics
 from .config import RewardTerms, TrackerConfig
 from .policy import ActorCritic
 
+TRACKER = Path(__file__).parent.parent / "weights" / "tracker_compact.safetensors"
+"""The tracker that comes with footfall."""
+
 
 class PolicyConfig(Protocol):
     """What settings say of a policy's networks."""

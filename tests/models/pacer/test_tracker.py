@@ -284,10 +284,11 @@ def test_evaluation_follows_every_clip_from_its_beginning(library):
     training = TrackerTraining(TrackerEnv(SMALL, library), SMALL)
     one = MotionLibrary(library.clips, PEOPLE[:1])
     result = evaluate(training.model, one, SMALL, worlds=2)
-    assert result.tracked.shape == (3,)
+    assert result.tracked.shape == result.fell.shape == (3,)
+    assert not (result.fell & result.tracked).any()
     assert (result.seconds > 0.1).all()
     assert (result.seconds <= one.lengths / 30).all()
     figures = result.summary()
-    assert 0.0 <= figures["share of clips tracked to end"] <= 1.0
+    assert 0.0 <= figures["share of clips tracked to end"] <= figures["share of clips without a fall"] <= 1.0
     assert 1.0 < figures["mean joint error mm"] < 500.0
     assert figures["mean joint error in the world mm"] < 500.0

@@ -11,7 +11,7 @@ from footfall.models.pacer.batch_world import Physics
 from footfall.models.pacer.policy import ActorCritic
 from footfall.models.pacer.walker_config import CONFIGS
 from footfall.models.pacer.walker_env import WalkerEnv
-from footfall.models.pacer.walker_evaluation import roll_out
+from footfall.models.pacer.walker_evaluation import Measurement, roll_out
 from footfall.models.pacer.walker_weights import load_walker, walker_config_from_dict
 from footfall.models.trace.weights import WeightsError, save_tensors
 from footfall.tools import cli, train_pacer
@@ -54,6 +54,25 @@ def test_who_falls_counts_until_then(gait_alone):
     assert result.strikes[alive.any(1)].any() and not result.strikes[~alive].any()
 
 
+def test_jerk_is_the_third_derivative_of_where_joints_are():
+    env = WalkerEnv(replace(SMALL, worlds=2), 2)
+    bodies = [env.world.bodies[i] for i in env.world.body_index]
+    measurement = Measurement(bodies, env.world.hinges, 6, env.period, env.height_at)
+    still, everyone = env.motion.positions.copy(), np.arange(2)
+    no, yes = np.zeros(2, dtype=bool), np.ones(2, dtype=bool)
+    for k in range(-1, 6):
+        t = (k + 1) * env.period
+        way = np.array([[2.0, 0.0, 0.0], [0.0, 0.0, 0.5]])[:, None] * t**3
+        motion = replace(env.motion, positions=still + way)
+        if k < 0:
+            measurement.begin(motion)
+        else:
+            measurement.add(k, motion, everyone, yes, np.zeros(2), no, no)
+    jerk = measurement.result(no).jerk
+    assert np.isnan(jerk[:2]).all()
+    np.testing.assert_allclose(jerk[2:], np.tile([12.0, 3.0], (4, 1)), rtol=1e-6)
+
+
 def test_a_strong_push_throws_more_people_over(gait_alone):
     standing = replace(SMALL, lost=5.0)
     calm, pushed = (
@@ -93,6 +112,7 @@ def test_train_resume_and_evaluate_from_the_command_line(tmp_path, monkeypatch, 
     assert cli.main([*evaluate, "--rollouts", "4", "--people", "2", "--duration", "1", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
     expected = {"fail_rate", "path_error_m", "disc_reward", "foot_skate_mps", "rollouts", "falls_by_cause"}
+    expected |= {"jerk_mps3", "power_w_per_kg", "fail_rate_by_body"}
     assert expected <= set(figures) and figures["rollouts"] == 4 and figures["samples"] == 96
     assert (out / "curve.csv").is_file() == (out / "curve.png").is_file()
     other = ["train", "pacer", "--out", str(tmp_path / "other"), "--init", str(out / "model.safetensors")]
