@@ -71,7 +71,9 @@ def run(args: argparse.Namespace) -> int:
         for name, value in figures.items():
             print(f"{name}: {value:.4g}")
     if args.write:
-        write_section(args.write, f"tracker-{args.mask}", _table(library, result, args, int(facts["samples"])))
+        write_section(
+            args.write, f"tracker-{args.mask}", _table(library, result, args, int(facts["samples"]))
+        )
     if args.film or args.rollout:
         names = [clip.name for clip in library.clips]
         wanted = args.clips or names[:: max(len(names) // 6, 1)][:6]
