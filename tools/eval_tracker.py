@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         raise EvaluationError(f"no clip in {args.motions} has a name that begins with {args.only!r}")
     library = MotionLibrary(chosen, bodies)
     result = evaluate(model, library, config, mask=MASKS[args.mask])
-    figures = result.summary() | {"clips": len(library), "samples": facts["samples"]}
+    figures = result.summary() | {"clips": len(library), "samples": int(facts.get("samples", 0))}
     if args.json:
         print(json.dumps(figures))
     else:
@@ -71,9 +71,7 @@ def run(args: argparse.Namespace) -> int:
         for name, value in figures.items():
             print(f"{name}: {value:.4g}")
     if args.write:
-        write_section(
-            args.write, f"tracker-{args.mask}", _table(library, result, args, int(facts["samples"]))
-        )
+        write_section(args.write, f"tracker-{args.mask}", _table(library, result, args, figures["samples"]))
     if args.film or args.rollout:
         names = [clip.name for clip in library.clips]
         wanted = args.clips or names[:: max(len(names) // 6, 1)][:6]
@@ -98,7 +96,7 @@ def _end(result: Evaluation, clip: int) -> str:
     return "" if result.tracked[clip] else "fell" if result.fell[clip] else "lost"
 
 
-def _table(library: MotionLibrary, result: Evaluation, args: argparse.Namespace, samples: int) -> str:
+def _table(library: MotionLibrary, result: Evaluation, args: argparse.Namespace, samples: float) -> str:
     """How clips were followed, by their speed."""
     rows: list[list[Cell]] = []
     for name, low, high in (("all", 0.0, np.inf), ("walks", 0.0, _RUN), ("runs", _RUN, np.inf)):

@@ -31,6 +31,11 @@ _RISE_PER_STEP = 0.19  # m: a tall tread
 _PATH = np.linspace(0.2, 0.9, 8)  # shares of a swing at which it must clear the ground
 
 
+def foot_phases(s: State) -> Array:
+    """Phase (n, 2), [0, 1), of the left and the right foot since each was due to land."""
+    return (s["phase"][:, None] + _OFFSETS) % 1.0
+
+
 def stride(s: State) -> tuple[Array, Array]:
     """Duration (n,) in s of the present stride and the share (n,) of it a foot stands."""
     leg = -s["thigh"][:, 0, 2] - s["shank"][:, 0, 2]
@@ -55,7 +60,7 @@ def stand(s: State, position: Array, heading: Array, speed: Array, height_at: He
     s["held"] = ~moving
     s["vigour"] = np.where(moving, norms.vigour(speed), 0.0)
     s["phase"] = np.where(moving, s["phase"], support) % 1.0
-    psi = (s["phase"][:, None] + _OFFSETS) % 1.0
+    psi = foot_phases(s)
     s["planted"] = psi < support[:, None] + 1e-6 * s["held"][:, None]
     swing = np.clip((psi - support[:, None]) / (1.0 - support[:, None]), 0.0, 1.0)
     s["swing"] = np.where(s["planted"], 0.0, swing)
@@ -87,7 +92,7 @@ def advance(
     _look_ahead(s, heading, dt, height_at)
     duration, support = stride(s)
     due = _advance_clock(s, heading, (speed > _WALK_SPEED) | (np.abs(turn_rate) > 0.2), duration, support, dt)
-    psi = (s["phase"][:, None] + _OFFSETS) % 1.0
+    psi = foot_phases(s)
 
     landed = ~s["planted"] & (psi < np.minimum(support, 0.25)[:, None])
     s["place"][landed] = s["target"][landed]
@@ -168,7 +173,7 @@ def _advance_clock(
     phase = np.where(hold, support - _OFFSETS[first], phase + 0.5 * swap)
     s["phase"] = phase % 1.0
     s["held"] = hold
-    psi = (s["phase"][:, None] + _OFFSETS) % 1.0
+    psi = foot_phases(s)
     return s["planted"] & (psi >= support[:, None]) & ~hold[:, None]
 
 
@@ -268,7 +273,7 @@ def _bump(u: Array) -> Array:
 def profile_roll(s: State) -> Array:
     """Pitch (n, 2) of the feet in rad, heel up positive, by the clock: heel, flat, ball, swing."""
     support = stride(s)[1][:, None]
-    psi = (s["phase"][:, None] + _OFFSETS) % 1.0
+    psi = foot_phases(s)
     full = norms.TOE_OFF_PITCH * s["vigour"][:, None]
     span = (1.0 - norms.HEEL_OFF) * support
     since = np.clip((psi - norms.HEEL_OFF * support) / span, 0.0, 1.0)

@@ -184,8 +184,7 @@ class Gait:
         s["offset"] = people - s["position"]
         error = (ankles - pose.ankle_positions(s, pose.sole_rotation(s["place"])))[..., 2]
         beyond = error - np.clip(error, -_MISPLACED, _MISPLACED)
-        since = (s["phase"][:, None] + np.array([0.0, 0.5])) % 1.0
-        stands = s["planted"] & touching & (since < _TRUSTED)
+        stands = s["planted"] & touching & (footsteps.foot_phases(s) < _TRUSTED)
         s["place"][..., 2] += np.where(stands, _YIELD * beyond, 0.0)
 
     def _pose(self, heading: Array, dt: float) -> tuple[Array, Array]:

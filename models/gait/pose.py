@@ -156,7 +156,7 @@ def _stoop(s: State, pelvis: Array, hip: Array, length: Array) -> None:
     )  # the ankle's height when the heel's edge touches down
     across = np.minimum(ahead[:, None], 0.8 * length)
     top = s["target"][..., 2] + lifted - hip[..., 2] + np.sqrt(length**2 - across**2)
-    since = smoothstep((s["phase"][:, None] + np.array([0.0, 0.5])) % 1.0 / 0.12)
+    since = smoothstep(footsteps.foot_phases(s) / 0.12)
     share = np.where(s["planted"], 1.0 - since, smoothstep((s["swing"] - 0.1) / 0.9))
     pelvis[:, 2] -= (np.maximum(pelvis[:, 2:] - top, 0.0) * share).max(1)
 
