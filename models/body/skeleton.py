@@ -64,11 +64,13 @@ N_JOINTS = len(JOINT_NAMES)
 # Degrees (x low, x high, y low, y high, z low, z high) of the LEFT side. Clinical ranges of motion after the
 # American Academy of Orthopaedic Surgeons, "Joint Motion" (1965), and Norkin & White, "Measurement of Joint
 # Motion" (2016), app. B; the trunk's and neck's totals are shared among their joints; the glide of the collar
-# bone after Inman, Saunders & Abbott (1944).
+# bone after Inman, Saunders & Abbott (1944). Ankles under the body's weight flex farther than those measured on
+# a table (30 degrees): the shank leans 45 and more over the foot in a lunge (Bennell et al. 1998), without which
+# nobody stands on a slope but on their toes.
 _LIMITS_DEG = {
     "Hip": (-30, 45, -125, 30, -45, 45),
     "Knee": (-5, 5, -2, 150, -25, 25),
-    "Ankle": (-35, 20, -30, 50, -20, 20),
+    "Ankle": (-35, 20, -45, 50, -20, 20),
     "Toe": (-5, 5, -70, 45, -5, 5),
     "Torso": (-20, 20, -20, 45, -15, 15),
     "Spine": (-15, 15, -15, 30, -15, 15),

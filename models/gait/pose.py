@@ -21,8 +21,11 @@ _MAX_ROLL = np.radians(75.0)  # of a standing foot on its toes
 _TOE_BEND = np.radians(50.0)
 _ANKLE_RANGE = JOINT_LIMITS[JOINT_INDEX["L_Ankle_y"]] + np.radians([1.0, -1.0])
 _RISE_RATE = 0.5  # m/s: fastest recovery of the pelvis from a long step
-_BENT_UP, _BENT_DOWN = 0.15, 0.5  # share of a step's rise by which the pelvis is lower, uphill and downhill
+_BENT_UP, _BENT_DOWN = 0.25, 0.5  # share of a step's rise by which the pelvis is lower, uphill and downhill
 _DOWNHILL = 0.1  # fall over run from which it is the latter
+_BENT_ASIDE = (
+    0.15  # m by which it is lower per rad that the soles tilt sideways, so that no leg hangs or jams
+)
 _SOFT = 0.006  # m: rounding of the pelvis' path where a leg's reach begins to bind
 
 
@@ -50,6 +53,7 @@ def pelvis_motion(s: State) -> tuple[Array, Array, Array]:
     # body would dive at every step.
     down = smoothstep(-s["climb"] / _DOWNHILL)
     height -= (_BENT_UP + (_BENT_DOWN - _BENT_UP) * down) * s["grade"] * 0.5 * speed * duration
+    height -= _BENT_ASIDE * np.abs(s["place"][..., 5]).max(-1)
     return turn, sway, height
 
 

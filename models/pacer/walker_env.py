@@ -19,6 +19,7 @@ from .local_map import draw_local_maps
 from .manners import Manners
 from .mathops import heading
 from .paths import Paths, sample_paths, with_stops
+from .starts import Starts
 from .style import StyleHistory, feature_count, style_features
 from .surface import seen_heights
 from .walker_config import WalkerConfig
@@ -29,13 +30,10 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 _JITTER = (0.02, 0.05)  # rad and rad/s: spread of initial joint angles and velocities
-_UP, _DOWN = 0.06, 0.06  # levels by which a walk changes where its kind of ground is begun: half may fail
-_SPREAD = 3  # levels, the hardest and those below, on which people begin
 _STOPS = 0.2  # share of paths with a stop on the way
 _STAYS = 0.3  # share of those at rest who stay there
 _PUSH = 0.2  # s
 _TOUCH, _TOUCH_WALL = 0.4, 0.22  # m between two pelvises, or to an obstacle: less is a collision
-_TOGETHER = 3.0  # m within which company begins
 _CHEST = 1 + BODY_INDEX["Chest"]
 
 
@@ -65,7 +63,7 @@ class WalkerEnv:
     """N worlds of one walker each; worlds whose episode ends begin another at once.
 
     An action (N, A) shifts the PD targets away from the gait's next pose; it answers the observation, and is
-    a mirror image where that is one.
+    a mirror image where that is one. Obstacles and others are seen and not felt: who comes too near fails.
 
     Args:
         config: settings.
@@ -98,7 +96,7 @@ class WalkerEnv:
         """What there is to walk on; None is level ground."""
         terrain = self.course.terrain if self.course and self.course.uneven else None
         obstacles = self.course.obstacles if self.course else ()
-        self.world = BatchWorld(bodies, count, config.physics, terrain, obstacles)
+        self.world = BatchWorld(bodies, count, config.physics, terrain)
         self.people = People.of([bodies[i] for i in self.world.body_index])
         self.period = config.physics.control_period
         self.height_at = terrain.height_at if terrain else flat_ground
@@ -120,12 +118,7 @@ class WalkerEnv:
         """(N,) whose last observation, and so whose next action, is a mirror image."""
         self.difficulty = 1.0
         """From 0, easy paths and no pushes, to 1, those of the settings."""
-        levels, columns = np.shape(self.course.kinds) if self.course else (1, 1)
-        self.hardest: Array = np.full(columns, levels - 1.0)
-        """(columns,) level of the course up to which people begin, by column."""
-        self.learning = False
-        """Whether `hardest` follows how people get on."""
-        self._tile = np.zeros((count, 2), dtype=np.intp)  # column and level where each began
+        self.starts = Starts(self.course, self._outlines, count, config.company, self.rng)
         self.age = np.zeros(count, dtype=np.intp)
         """(N,) control steps since each episode began."""
         gains = JOINT_GAINS[self.world.hinges]
@@ -292,8 +285,8 @@ class WalkerEnv:
             "bumped": float(bumped.sum()),
         }
         if len(ended):
-            if self.learning:
-                self._promote(ended, failed[ended])
+            if self.starts.learning:
+                self.starts.promote(ended, failed[ended])
             self._begin(ended)
             self.settle(ended)
             observations[ended] = self.observe()[ended]
@@ -305,10 +298,7 @@ class WalkerEnv:
         rng, n, config = self.rng, len(ids), self.config
         headings = rng.uniform(-np.pi, np.pi, n)
         settings = config.easy_paths.towards(config.paths, self.difficulty)
-        starts = self._starts(ids)
-        if self.course:
-            last = np.array(np.shape(self.course.kinds))[::-1] - 1
-            self._tile[ids] = np.clip(starts // self.course.settings.tile, 0, last)
+        starts = self.starts.draw(ids, self.world.positions[:, 0, :2])
         paths = sample_paths(starts, headings, rng, settings)
         speeds = paths.first_speeds
         resting = rng.random(n) < config.standing
@@ -340,60 +330,9 @@ class WalkerEnv:
             world.joint_velocities,
         )
 
-    def _starts(self, ids: NDArray[np.intp]) -> Array:
-        """Places (n, 2), m, for people (n,) to begin at: near their company, but not too near."""
-        size = self.config.company
-        places = self.starts(len(ids))
-        if size == 1:
-            return places
-        there = self.world.positions[:, 0, :2].copy()
-        present = np.ones(len(self), dtype=bool)
-        present[ids] = False
-        for row, i in enumerate(ids):
-            first = i - i % size
-            mates = there[first : first + size][present[first : first + size]]
-            if len(mates):
-                middle = mates[self.rng.integers(len(mates))]
-                spots = middle + self.rng.uniform(-_TOGETHER, _TOGETHER, (12, 2))
-                spots = spots[self._room(spots) > 1.0] if self.course else spots
-                if len(spots):
-                    gap = np.linalg.norm(spots[:, None] - mates, axis=-1).min(1)
-                    places[row] = spots[np.argmax(np.minimum(gap, 1.2))]
-            there[i], present[i] = places[row], True
-        return places
-
     def _free(self) -> Array:
         """Distance (N,), m, of people from obstacles."""
         return signed_distance(self._outlines, self.motion.positions[:, 0, :2])
-
-    def _room(self, spots: Array) -> Array:
-        """Distance (n,), m, of places (n, 2) from obstacles; 0 off the course's tiles."""
-        assert self.course is not None
-        s = self.course.settings
-        size = s.tile * np.array([s.columns, s.levels])
-        outside = ((spots < 0.0) | (spots > size)).any(1)
-        return np.where(outside, 0.0, signed_distance(self._outlines, spots))
-
-    def starts(self, count: int) -> Array:
-        """Places (n, 2) to begin at, m: the middles of tiles; while learning, of tiles near the hardest."""
-        if self.course is None:
-            return np.zeros((count, 2))
-        centres = self.course.centres()
-        columns = self.rng.integers(centres.shape[1], size=count)
-        top = np.floor(self.hardest[columns])
-        rows = np.maximum(top - self.rng.integers(_SPREAD, size=count), 0).astype(int)
-        if not self.learning:
-            rows = self.rng.integers(len(centres), size=count)
-        return centres[rows, columns] + self.rng.uniform(-1.0, 1.0, (count, 2))
-
-    def _promote(self, ids: NDArray[np.intp], failed: NDArray[np.bool_]) -> None:
-        """Let people begin on harder ground where those (n,) who began on the hardest did well."""
-        columns, levels = self._tile[ids].T
-        top = levels >= np.floor(self.hardest[columns])
-        np.add.at(self.hardest, columns[top], np.where(failed[top], -_DOWN, _UP))
-        self.hardest = (
-            np.clip(self.hardest, 0.0, len(self.course.kinds) - 1.0) if self.course else self.hardest
-        )
 
     def settle(self, ids: NDArray[np.intp]) -> None:
         """Read the motion, and forget where soles were before people (n,) were put somewhere."""

@@ -287,7 +287,7 @@ def start_walks(env: WalkerEnv, seed: int) -> None:
     """Put everybody at the beginning of a random path, a fifth of them at rest."""
     rng, n = np.random.default_rng(seed), len(env)
     headings = rng.uniform(-np.pi, np.pi, n)
-    paths = sample_paths(env.starts(n), headings, rng, env.config.paths)
+    paths = sample_paths(env.starts.anywhere(n), headings, rng, env.config.paths)
     speeds = paths.first_speeds
     resting = rng.random(n) < _RESTING
     paths = with_stops(paths, np.where(resting, -10.0, 1e4), np.where(resting, rng.uniform(0.2, 2.0, n), 1e4))

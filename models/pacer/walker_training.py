@@ -31,8 +31,8 @@ class WalkerTraining(PolicyTraining):
     """
 
     def __init__(self, env: WalkerEnv, config: WalkerConfig, demos: DemoWindows | None = None):
-        env.difficulty, env.learning = config.first_difficulty, True
-        env.hardest[:] = 0.0
+        env.difficulty, env.starts.learning = config.first_difficulty, True
+        env.starts.hardest[:] = 0.0
         super().__init__(env, config)
         self.env = env
         self.config = config
@@ -66,7 +66,7 @@ class WalkerTraining(PolicyTraining):
         causes = {cause: figures[cause] for cause in ("fell", "strayed", "bumped")}
         ended = max(sum(causes.values()), 1e-9)
         causes = {cause: count / ended for cause, count in causes.items()}
-        return causes | {"difficulty": env.difficulty, "level": ranks.mean(float(env.hardest.mean()))}
+        return causes | {"difficulty": env.difficulty, "level": ranks.mean(float(env.starts.hardest.mean()))}
 
     def _rewards(self, step: WalkerStep) -> Tensor:
         """Rewards (N,): of the task, and of style where a window is whole; elsewhere ordinary style."""
@@ -92,7 +92,7 @@ class WalkerTraining(PolicyTraining):
         return tensors, facts | {
             "failing": self.failing,
             "difficulty": self.env.difficulty,
-            "hardest": self.env.hardest.tolist(),
+            "hardest": self.env.starts.hardest.tolist(),
         }
 
     def load_state(self, tensors: dict[str, Tensor], facts: dict[str, Any]) -> dict[str, dict[str, Tensor]]:
@@ -101,8 +101,8 @@ class WalkerTraining(PolicyTraining):
         if self.style and "style" in parts:
             self.style.discriminator.load_state_dict(parts["style"])
         self.failing, self.env.difficulty = float(facts["failing"]), float(facts["difficulty"])
-        if len(facts.get("hardest", [])) == len(self.env.hardest):
-            self.env.hardest[:] = facts["hardest"]
+        if len(facts.get("hardest", [])) == len(self.env.starts.hardest):
+            self.env.starts.hardest[:] = facts["hardest"]
         return parts
 
     def _learners(self) -> Iterator[tuple[str, torch.optim.Optimizer, nn.Module]]:

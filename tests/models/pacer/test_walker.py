@@ -303,16 +303,17 @@ def test_on_a_course_people_start_on_their_feet_and_see_the_ground():
 def test_the_ground_gets_harder_where_people_do_well_and_easier_where_they_fail():
     course = CourseSettings(levels=4, columns=2, tile=10.0, kinds=("flat", "slope"))
     env = WalkerEnv(replace(SMALL, course=course), seed=1)
-    env.learning, env.hardest[:] = True, [1.0, 1.0]
+    starts = env.starts
+    starts.learning, starts.hardest[:] = True, [1.0, 1.0]
     ids = np.arange(len(env))
-    env._tile[ids] = [1, 1]
+    starts._tile[ids] = [1, 1]
     for _ in range(3):
-        env._promote(ids, np.zeros(len(env), dtype=bool))
-    assert env.hardest[0] == 1.0 and 1.0 < env.hardest[1] <= 3.0
+        starts.promote(ids, np.zeros(len(env), dtype=bool))
+    assert starts.hardest[0] == 1.0 and 1.0 < starts.hardest[1] <= 3.0
     for _ in range(30):
-        env._tile[ids, 1] = np.floor(env.hardest[1])
-        env._promote(ids, np.ones(len(env), dtype=bool))
-    assert env.hardest.tolist() == [1.0, 0.0]
+        starts._tile[ids, 1] = np.floor(starts.hardest[1])
+        starts.promote(ids, np.ones(len(env), dtype=bool))
+    assert starts.hardest.tolist() == [1.0, 0.0]
 
 
 def test_knees_are_stretched_uphill_only_and_by_what_the_load_bends():

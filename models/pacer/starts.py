@@ -1,0 +1,107 @@
+"""Where walks begin: on the tiles of a course, on harder ones as people get on, near one's company."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene.layers import signed_distance
+from .courses import Course
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.intp]
+
+_UP, _DOWN = 0.06, 0.06  # levels by which a walk changes where its kind of ground is begun: half may fail
+_SPREAD = 3  # levels, the hardest and those below, on which people begin
+_TOGETHER = 3.0  # m within which company begins
+_ROOM, _APART = 1.0, 1.2  # m to obstacles, and to each other if there is room for that
+_TRIES = 12
+
+
+class Starts:
+    """Draws places to begin at.
+
+    Args:
+        course: what there is to walk on; None is level ground, on which everybody begins at the origin.
+        outlines: polygons (K, 2), m, of what stands there.
+        people: N.
+        company: how many belong together; people of a company have neighbouring numbers.
+        rng: random numbers.
+    """
+
+    def __init__(
+        self,
+        course: Course | None,
+        outlines: list[NDArray[np.float64]],
+        people: int,
+        company: int,
+        rng: np.random.Generator,
+    ):
+        levels, columns = np.shape(course.kinds) if course else (1, 1)
+        self.hardest: Array = np.full(columns, levels - 1.0)
+        """(columns,) level of the course up to which people begin, by column."""
+        self.learning = False
+        """Whether people begin near the hardest level, which follows how they get on; otherwise anywhere."""
+        self._course, self._outlines, self._company, self._rng = course, outlines, company, rng
+        self._tile: Ids = np.zeros((people, 2), dtype=np.intp)  # column and level where each began
+
+    def anywhere(self, count: int) -> Array:
+        """Places (n, 2), m, world, near the middles of tiles."""
+        if self._course is None:
+            return np.zeros((count, 2))
+        rng, centres = self._rng, self._course.centres()
+        columns = rng.integers(centres.shape[1], size=count)
+        top = np.floor(self.hardest[columns])
+        rows = np.maximum(top - rng.integers(_SPREAD, size=count), 0).astype(int)
+        if not self.learning:
+            rows = rng.integers(len(centres), size=count)
+        return centres[rows, columns] + rng.uniform(-1.0, 1.0, (count, 2))
+
+    def draw(self, ids: Ids, people: Array) -> Array:
+        """Places (n, 2), m, world, for people (n,) to begin at: near their company, but not too near.
+
+        Args:
+            ids: who begins.
+            people: (N, 2) m, world: where everybody is.
+        """
+        places = self.anywhere(len(ids))
+        if self._company > 1:
+            self._gather(places, ids, people.copy())
+        if self._course:
+            last = np.array(np.shape(self._course.kinds))[::-1] - 1
+            self._tile[ids] = np.clip(places // self._course.settings.tile, 0, last)
+        return places
+
+    def promote(self, ids: Ids, failed: NDArray[np.bool_]) -> None:
+        """Let people begin on harder ground where those (n,) who began on the hardest did well."""
+        columns, levels = self._tile[ids].T
+        top = levels >= np.floor(self.hardest[columns])
+        np.add.at(self.hardest, columns[top], np.where(failed[top], -_DOWN, _UP))
+        last = len(self._course.kinds) - 1.0 if self._course else 0.0
+        self.hardest = np.clip(self.hardest, 0.0, last)
+
+    def _gather(self, places: Array, ids: Ids, people: Array) -> None:
+        """Move places (n, 2) to where company is, in place."""
+        size, rng = self._company, self._rng
+        present = np.ones(len(people), dtype=bool)
+        present[ids] = False
+        for row, i in enumerate(ids):
+            mates = slice(i - i % size, i - i % size + size)
+            there = people[mates][present[mates]]
+            if len(there):
+                middle = there[rng.integers(len(there))]
+                spots = middle + rng.uniform(-_TOGETHER, _TOGETHER, (_TRIES, 2))
+                spots = spots[self._room(spots) > _ROOM]
+                if len(spots):
+                    gap = np.linalg.norm(spots[:, None] - there, axis=-1).min(1)
+                    places[row] = spots[np.argmax(np.minimum(gap, _APART))]
+            people[i], present[i] = places[row], True
+
+    def _room(self, spots: Array) -> Array:
+        """Distance (n,), m, of places (n, 2) from obstacles; 0 off the course's tiles."""
+        if self._course is None:
+            return np.full(len(spots), np.inf)
+        s = self._course.settings
+        size = s.tile * np.array([s.columns, s.levels])
+        outside = ((spots < 0.0) | (spots > size)).any(1)
+        return np.where(outside, 0.0, signed_distance(self._outlines, spots))
