@@ -21,7 +21,7 @@ from ..models.pacer.walker_training import WalkerTraining
 from ..models.pacer.walker_weights import grown
 from ..models.render.gl import RenderError
 from ..models.trace.weights import load_tensors
-from .train_policy import PolicyRun, TrainingError, add_policy_arguments, given_settings, train
+from .train_policy import PolicyRun, TrainingError, add_policy_arguments, configured, train
 
 _DEMO_BODIES = 4  # of those who walk, on whom motion capture is shown to the discriminator
 
@@ -54,15 +54,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _config(args: argparse.Namespace) -> WalkerConfig:
-    config = CONFIGS[args.config]
-    given = given_settings(args, "worlds", "noise", "discount", "push_force")
-    if args.style is not None:
-        if not 0 <= args.style < 1:
-            raise TrainingError("--style is a share, at least 0 and less than 1")
-        given["style"] = replace(config.style, weight=args.style)
-    if args.rate_floor is not None:
-        given["rate_bounds"] = (args.rate_floor, config.rate_bounds[1])
-    return replace(config, seed=args.seed, physics=replace(config.physics, threads=args.threads), **given)
+    config: WalkerConfig = configured(CONFIGS[args.config], args, "worlds", "noise", "discount", "push_force")
+    if args.style is None:
+        return config
+    if not 0 <= args.style < 1:
+        raise TrainingError("--style is a share, at least 0 and less than 1")
+    return replace(config, style=replace(config.style, weight=args.style))
 
 
 def _demos(args: argparse.Namespace, env: WalkerEnv) -> DemoWindows | None:

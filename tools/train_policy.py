@@ -10,7 +10,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +48,12 @@ def train(args: argparse.Namespace, make: Callable[[], "PolicyRun"]) -> int:
     return 0
 
 
-def given_settings(args: argparse.Namespace, *names: str) -> dict[str, Any]:
-    """Those settings that the command line gives."""
-    return {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+def configured(config: Any, args: argparse.Namespace, *names: str) -> Any:
+    """A policy's configuration with what the command line gives: those names, seed, threads, learning rate."""
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    if args.rate_floor is not None:
+        given["rate_bounds"] = (args.rate_floor, config.rate_bounds[1])
+    return replace(config, seed=args.seed, physics=replace(config.physics, threads=args.threads), **given)
 
 
 class PolicyRun:

@@ -20,7 +20,7 @@ from ..models.pacer.tracker_env import TrackerEnv
 from ..models.pacer.tracker_evaluation import evaluate
 from ..models.pacer.tracker_training import TrackerTraining
 from .curve_file import append_row
-from .train_policy import PolicyRun, add_policy_arguments, given_settings, train
+from .train_policy import PolicyRun, add_policy_arguments, configured, train
 
 
 def add_parser(subparsers) -> None:
@@ -42,13 +42,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _config(args: argparse.Namespace) -> TrackerConfig:
-    config = CONFIGS[args.config]
-    given = given_settings(args, "worlds", "masked", "noise")
-    if args.lookahead:
-        given["lookahead"] = tuple(args.lookahead)
-    if args.rate_floor is not None:
-        given["rate_bounds"] = (args.rate_floor, config.rate_bounds[1])
-    return replace(config, seed=args.seed, physics=replace(config.physics, threads=args.threads), **given)
+    config: TrackerConfig = configured(CONFIGS[args.config], args, "worlds", "masked", "noise")
+    return replace(config, lookahead=tuple(args.lookahead)) if args.lookahead else config
 
 
 class TrackerRun(PolicyRun):

@@ -25,7 +25,7 @@ _FEET_APART = 0.10  # m: least lateral distance of a foothold from the other foo
 _LIFT = 0.04  # share of a swing at its ends in which the foot goes only up or down
 HARDEST_LEAN = 2.5
 """m/s^2: accelerations beyond are not leaned into any further."""
-_QUICK = 0.8  # share by which strides are shorter on ground that rises 1 m/m
+_QUICK = 1.2  # share by which strides are shorter on ground that rises 1 m/m
 _LATE = 0.1  # share of a swing at its end in which a foot on its way to a lower tread only sinks
 _RISE_PER_STEP = 0.19  # m: a tall tread
 _PATH = np.linspace(0.2, 0.9, 8)  # shares of a swing at which it must clear the ground
