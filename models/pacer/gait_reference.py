@@ -49,7 +49,6 @@ class GaitReference:
         height_at: ground height (m,), m, at world points (m, 2).
         limits: what followers of paths can do.
         manners: how they keep clear of obstacles and each other.
-        swing_torque: whether targets hold the torque that legs need to swing.
     """
 
     def __init__(
@@ -59,7 +58,6 @@ class GaitReference:
         height_at: HeightAt = flat_ground,
         limits: FollowerLimits | None = None,
         manners: Manners | None = None,
-        swing_torque: bool = True,
     ):
         count = len(bodies)
         self.period = period
@@ -85,7 +83,6 @@ class GaitReference:
         """(N, 2) of the weight on each leg."""
         self._support: Array = np.zeros((count, 69))
         """(N, 69) rad by which PD targets are beyond the pose, so as to hold it under load."""
-        self._swing_torque = swing_torque
         self._legs = SwingLegs(bodies)
         self._leg_angles: Array = np.zeros((count, 2, 2))
         self._leg_rates: Array = np.zeros((count, 2, 2))
@@ -237,5 +234,4 @@ class GaitReference:
         self.rates = np.clip((joints - self.joints) / self.period, -12.0, 12.0)
         self.root, self.joints = root, joints
         self._bear()
-        if self._swing_torque:
-            self._swing()
+        self._swing()

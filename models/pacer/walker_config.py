@@ -106,8 +106,6 @@ class WalkerConfig(LearningConfig):
     """rad of PD target per unit of action."""
     arms: bool = False
     """Whether actions move the arms, too; otherwise they swing as the gait says."""
-    swing_torque: bool = False
-    """Whether PD targets hold the torque that a leg needs to swing as the gait does."""
     lead: float = 0.1
     """s: PD targets run ahead of the gait by this times its rates; the drives' kd / kp."""
     lost: float = 2.0
@@ -124,13 +122,12 @@ _LEVEL_COURSE = CourseSettings(levels=2, columns=4, tile=10.0, kinds=("flat", "o
 _SMALL_COURSE = CourseSettings(levels=8, columns=9, tile=10.0, border=18.0, cell=0.05)
 
 CONFIGS: dict[str, WalkerConfig] = {
-    "compact": WalkerConfig(course=_LEVEL_COURSE, company=4, noise=0.12, swing_torque=True),
+    "compact": WalkerConfig(course=_LEVEL_COURSE, company=4, noise=0.12),
     "compact_terrain": WalkerConfig(
         course=_SMALL_COURSE,
         map=COMPACT_MAP,
         company=4,
         noise=0.12,
-        swing_torque=True,
         first_difficulty=0.5,
         widen_below=0.045,
         widening=0.004,
@@ -146,7 +143,6 @@ CONFIGS: dict[str, WalkerConfig] = {
         course=CourseSettings(columns=20, border=50.0),
         map=MapSettings(),
         company=8,
-        swing_torque=True,
         lost=4.0,
         **PAPER_LEARNING,
     ),

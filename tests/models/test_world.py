@@ -400,3 +400,23 @@ def test_wild_targets_stay_stable(actuation):
         world.advance(DT)
         fastest = max(fastest, float(abs(world.joint_states([0, 1, 2])[..., 10:13]).max()))
     assert fastest < 60.0  # rad/s
+
+
+@pytest.mark.parametrize("seed", [1, 5])
+def test_a_heap_of_wild_people_does_not_explode(seed):
+    """Twelve people in each other's way with random targets; then they come to rest, all still there."""
+    people = [describe(shape_for(1.5 + 0.04 * i, 50.0 + 5.0 * i)) for i in range(12)]
+    ids = list(range(12))
+    world = World(people, mode="physics", actuation="lite")
+    for i, body in enumerate(people):
+        world.enter(i, root_at(0.7 * (i % 4), 0.7 * (i // 4), body), arms_down())
+    rng = np.random.default_rng(seed)
+    for _ in range(150):
+        world.set_targets(ids, rng.uniform(-2, 2, (12, N_JOINTS)))
+        world.advance(DT)
+    for _ in range(90):
+        world.set_targets(ids, np.zeros((12, N_JOINTS)))
+        world.advance(DT)
+    states = world.joint_states(ids)
+    assert abs(states[..., 10:13]).max() < 5.0  # rad/s
+    assert abs(states[..., :2]).max() < 20.0  # m

@@ -319,17 +319,18 @@ def test_the_ground_gets_harder_where_people_do_well_and_easier_where_they_fail(
 def test_knees_are_stretched_uphill_only_and_by_what_the_load_bends():
     slope = {}
     for rise in (-0.3, 0.0, 0.3):
-        reference = climber(rise, swing_torque=False)
-        slope[rise] = reference.targets(np.arange(69), 0.0) - reference.joints
+        walks = [climber(rise, steps) for steps in range(40, 75)]
+        both_stand = [walk for walk in walks if walk.steps["planted"].all()]
+        slope[rise] = np.concatenate([w.targets(np.arange(69), 0.0) - w.joints for w in both_stand])
     assert not slope[0.0].any() and not slope[-0.3].any()
     assert -1.0 < slope[0.3].min() < -0.1 and slope[0.3].max() <= 0.0
-    assert set(np.flatnonzero(slope[0.3][0])) <= {JOINT_INDEX["L_Knee_y"], JOINT_INDEX["R_Knee_y"]}
+    assert set(np.flatnonzero(slope[0.3].any(0))) <= {JOINT_INDEX["L_Knee_y"], JOINT_INDEX["R_Knee_y"]}
 
 
-def climber(rise, swing_torque, steps=60):
+def climber(rise, steps):
     """The gait of somebody who has walked up a slope at 1 m/s for a while."""
     bodies = [describe(shape_for(1.75, 75.0))]
-    reference = GaitReference(bodies, 1 / 30, lambda xy: rise * xy[:, 0], swing_torque=swing_torque)
+    reference = GaitReference(bodies, 1 / 30, lambda xy: rise * xy[:, 0])
     one = np.zeros(1)
     reference.place(np.arange(1), np.zeros((1, 2)), one, one + 1.0, one)
     for k in range(steps):
@@ -342,7 +343,7 @@ def climber(rise, swing_torque, steps=60):
 def test_a_leg_that_swings_is_helped_and_the_standing_hip_takes_most_of_the_torque():
     helped = []
     for steps in range(40, 75):
-        reference = climber(0.0, swing_torque=True, steps=steps)
+        reference = climber(0.0, steps)
         shifts = (reference.targets(np.arange(69), 0.0) - reference.joints)[0, HINGES].reshape(2, 2)
         planted = reference.steps["planted"][0]
         assert not shifts[planted, 1].any()  # a standing knee
