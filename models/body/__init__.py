@@ -1,7 +1,7 @@
 """The humanoid: skeleton, anthropometry, and the body of a shape vector."""
 
 from .anthropometry import ShapeError, sample_shapes, shape_for
-from .body import FOOT_BODIES, SOLE_POINTS, Body, describe
+from .body import FOOT_BODIES, LOWER_LEG_BODIES, SOLE_POINTS, Body, describe
 from .skeleton import (
     BODY_INDEX,
     BODY_NAMES,
@@ -25,6 +25,7 @@ __all__ = [
     "JOINT_LIMITS",
     "JOINT_NAMES",
     "LITE_JOINTS",
+    "LOWER_LEG_BODIES",
     "N_BODIES",
     "N_JOINTS",
     "PARENTS",

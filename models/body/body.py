@@ -24,6 +24,8 @@ from .skeleton import (
 
 FOOT_BODIES: tuple[int, ...] = tuple(BODY_INDEX[name] for name in ("L_Ankle", "L_Toe", "R_Ankle", "R_Toe"))
 """Bodies that may touch the ground while the person is on their feet."""
+LOWER_LEG_BODIES: tuple[int, ...] = (*FOOT_BODIES, BODY_INDEX["L_Knee"], BODY_INDEX["R_Knee"])
+"""Feet and shanks: who presses on the ground with anything else has fallen."""
 SOLE_POINTS: tuple[str, ...] = ("heel_inner", "heel_outer", "ball_inner", "ball_outer", "toe")
 """Points of a sole, in the order of `Body.sole`; the last moves with the toes, the others with the ankle."""
 

@@ -23,9 +23,7 @@ _ANKLE_RANGE = JOINT_LIMITS[JOINT_INDEX["L_Ankle_y"]] + np.radians([1.0, -1.0])
 _RISE_RATE = 0.5  # m/s: fastest recovery of the pelvis from a long step
 _BENT_UP, _BENT_DOWN = 0.25, 0.5  # share of a step's rise by which the pelvis is lower, uphill and downhill
 _DOWNHILL = 0.1  # fall over run from which it is the latter
-_BENT_ASIDE = (
-    0.15  # m by which it is lower per rad that the soles tilt sideways, so that no leg hangs or jams
-)
+_BENT_ASIDE = 0.15  # m/rad: how much lower it is where the soles tilt sideways, so that no leg jams
 _SOFT = 0.006  # m: rounding of the pelvis' path where a leg's reach begins to bind
 
 

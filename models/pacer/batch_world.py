@@ -11,7 +11,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike, NDArray
 
-from ..body import N_BODIES, N_JOINTS, Body
+from ..body import BODY_NAMES, LOWER_LEG_BODIES, N_BODIES, N_JOINTS, Body
 from ..world.humanoid import GROUND_BIT, Actuation, actuated_joints, add_humanoid
 from ..world.stage import add_ground
 from .mathops import cross, rotate, rotate_back
@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 Ids = NDArray[np.intp] | slice
 """Which worlds: their numbers (n,), or a slice, which copies nothing."""
 EVERYONE = slice(None)
-
-_STANDS_ON = {f"{side}_{joint}" for side in "LR" for joint in ("Knee", "Ankle", "Toe")}
 
 
 class BatchWorldError(ValueError):
@@ -187,9 +185,10 @@ def _compile(body: Body, physics: Physics, terrain: Terrain | None) -> mujoco.Mj
     option.iterations, option.ls_iterations = physics.iterations, 10
     add_ground(spec, terrain)
     add_humanoid(spec, body, actuation=physics.actuation)
-    for part in spec.bodies:
-        for geom in part.geoms if part.name not in _STANDS_ON else ():
-            geom.conaffinity &= ~GROUND_BIT
+    for i, name in enumerate(BODY_NAMES):
+        if i not in LOWER_LEG_BODIES:
+            for geom in spec.body(name).geoms:
+                geom.conaffinity &= ~GROUND_BIT
     model = spec.compile()
     assert model.nbody == N_BODIES + 1
     return model

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..body.body import FOOT_BODIES, Body
+from ..body.body import LOWER_LEG_BODIES, Body
 from ..body.rotations import rotation_vector
 from ..body.skeleton import BODY_INDEX, N_BODIES, N_JOINTS
 from .contacts import GROUND, NOBODY, Contacts, read_contacts
@@ -30,7 +30,7 @@ Mode = Literal["kinematic", "physics"]
 
 _FALLEN_PELVIS, _FALLEN_HEAD = 0.55, 0.60  # of the standing heights
 _FALL_FORCE = 50.0  # N on the ground (PACER, app. B)
-_MAY_PRESS = np.isin(np.arange(N_BODIES), [*FOOT_BODIES, BODY_INDEX["L_Knee"], BODY_INDEX["R_Knee"]])
+_MAY_PRESS = np.isin(np.arange(N_BODIES), LOWER_LEG_BODIES)
 # People in a heap may be pressed into each other faster than 120 Hz can undo; without limits, as PhysX has them
 # (64 rad/s), one of them explodes now and then, and the simulator with them. Nobody walks, falls or kicks as fast.
 _FASTEST_ROOT, _FASTEST_HINGE = (15.0, 15.0, 15.0, 30.0, 30.0, 30.0), 64.0  # m/s and rad/s; rad/s
