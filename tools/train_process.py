@@ -28,6 +28,8 @@ def training_process(threads: int | None) -> Iterator[list[int]]:
     previous = {number: signal.signal(number, lambda number, _: stop.append(number)) for number in numbers}
     try:
         yield stop
+        if together:
+            dist.barrier()  # who leaves while another still saves takes the connections along
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
