@@ -11,13 +11,16 @@ _UNIFORM = 0.3  # share of starts that ignores failures
 _MEMORY = 0.995  # of the failure rates, per episode of a bin
 _RECENT = 2000  # episodes over which the share that fails is judged
 _EASY_SPEED = 1.25  # m/s
+_BIN = 1 / 3  # s
 
 
 class ClipSampler:
     """Draws clips and start frames from a library.
 
-    Clips are cut into bins of 1 s. A bin's chance is its clip's weight times its failure rate, mixed with its
-    weight alone. Clips join in the order of their distance from a straight walk at ordinary speed.
+    Clips are cut into bins of a third of a second. A bin's chance is its clip's weight times the failure rate of
+    episodes that began there, mixed with its weight alone: what is lost at the end of a clip was often lost by
+    its first steps, and who begins near the end never meets it. Clips join in the order of their distance from a
+    straight walk at ordinary speed.
 
     Args:
         library: the clips.
@@ -36,12 +39,13 @@ class ClipSampler:
         self._order = np.argsort(strangeness, kind="stable")
         self.active = min(narrow_start, len(library))
         """How many clips are in use."""
-        bins = -(-library.lengths // round(library.rate_hz))
+        self._width = max(round(library.rate_hz * _BIN), 1)
+        bins = -(-library.lengths // self._width)
         self._bin_start = np.concatenate([[0], np.cumsum(bins)])[:-1]
         self._clip_of_bin = np.repeat(np.arange(len(library)), bins)
         self._share = np.repeat(library.weights() / bins, bins)
         self.fail_rates: NDArray[np.float64] = np.ones(int(bins.sum()))
-        """(bins,) running share of episodes that failed there."""
+        """(bins,) running share of the episodes begun there that failed."""
         self.recent_failures = 1.0
         """Running share of episodes that fail, over all active clips."""
         self._since_widening = 0
@@ -52,16 +56,16 @@ class ClipSampler:
         library = self.library
         drawn = np.searchsorted(self._distribution, rng.random(count), side="right")
         clips = self._clip_of_bin[drawn]
-        width = round(library.rate_hz)
-        frames = (drawn - self._bin_start[clips]) * width + (rng.random(count) * width).astype(int)
+        within = (rng.random(count) * self._width).astype(int)
+        frames = (drawn - self._bin_start[clips]) * self._width + within
         last = np.maximum(library.lengths[clips] - self.shortest, 1)
         return clips, np.where(frames < last, frames, (rng.random(count) * last).astype(int))
 
     def report(self, clips: NDArray[np.intp], frames: NDArray[np.intp], failed: NDArray[np.bool_]) -> None:
-        """Tell how episodes (n,) ended: in which clip, at which of its frames, whether in failure."""
+        """Tell how episodes (n,) ended: of which clip, begun at which of its frames, whether in failure."""
         if not len(clips):
             return
-        bins = self._bin_start[clips] + frames // round(self.library.rate_hz)
+        bins = self._bin_start[clips] + frames // self._width
         hits = np.bincount(bins, minlength=len(self.fail_rates))
         failures = np.bincount(bins, failed.astype(float), minlength=len(self.fail_rates))
         keep = _MEMORY ** (20 * hits)

@@ -80,6 +80,7 @@ class TrackerEnv:
         self.clips = np.zeros(count, dtype=np.intp)
         """(N,) clip each world tracks."""
         self._frame = np.zeros(count, dtype=np.intp)
+        self._begun = np.zeros(count, dtype=np.intp)
         self._last = np.zeros(count, dtype=np.intp)
         self._age = np.zeros(count, dtype=np.intp)
         self._mask = np.ones((count, 24), dtype=bool)
@@ -122,6 +123,7 @@ class TrackerEnv:
         start = library.starts[clips]
         frame = start + frames
         self.clips[ids], self._frame[ids], self._age[ids] = clips, frame, 0
+        self._begun[ids] = frames
         self._last[ids] = start + library.lengths[clips] - 1
         self._mask[ids] = True if masks is None else masks
         joints, rates = library.joints[body, frame], library.joint_velocities[body, frame]
@@ -155,8 +157,7 @@ class TrackerEnv:
         observations = self.observation.build(EVERYONE, self.reference)
         cut_observations = observations[cut]
         if len(ended):
-            within = self._frame[ended] - self.library.starts[self.clips[ended]]
-            self.sampler.report(self.clips[ended], within, failed[ended])
+            self.sampler.report(self.clips[ended], self._begun[ended], failed[ended])
             self._begin(ended)
             observations[ended] = self.observation.build(ended, self.reference.take(ended))
         rewards = np.nan_to_num(rewards).astype(np.float32)
