@@ -29,11 +29,12 @@ class Guidance:
             the step to the zero of the linearised loss, which needs no tuning because every loss has
             minimum 0.
         strength: alpha; for `polyak` between 0 and 2.
-        inner_steps: Steps per denoising step in mode `direct`.
+        inner_steps: Steps per denoising step in mode `direct`. One keeps nearer to the data than several and
+            reaches no less, as the chosen sample is polished.
         limit: Longest step of one sample's actions, root mean square over the horizon, in standard
             deviations.
-        polish: More steps for the chosen samples at the end, in mode `direct`, and up to four times as many
-            for the objectives of safety alone.
+        polish: More steps for the chosen samples at the end, in mode `direct`, and up to twice as many for the
+            objectives of safety alone.
         met: A loss up to this needs no step.
         speeds: Guided futures keep between these speeds [m/s]: nobody is made to walk backwards or to race.
     """
@@ -41,7 +42,7 @@ class Guidance:
     mode: Literal["clean", "noisy", "direct"] = "direct"
     scale: Literal["variance", "unit", "polyak"] = "polyak"
     strength: float = 1.0
-    inner_steps: int = 3
+    inner_steps: int = 1
     limit: float = 1.0
     polish: int = 6
     met: float = 0.0
@@ -73,7 +74,8 @@ class Guidance:
         return step * (self.limit / size.clamp(min=self.limit))
 
 
-_LEAST_PACE = 0.02  # careful steps shorter than this share of a whole one are not worth taking
+_LEAST_PACE = 0.2  # careful steps shorter than this share of a whole one are not worth taking
+_GAIN = 0.9  # of a loss: a careful step that leaves more is the last one of its length
 
 FutureOf = Callable[[Tensor], Future]
 
@@ -97,7 +99,7 @@ def guide_direct(
     the linearised wish. In turn they do better than all at once, as with any projections onto several sets.
     A weight shortens (below 1) or lengthens the steps of an objective. Where a loss cannot become zero, such a
     step leaps once its gradient vanishes: denoising mends that, at its end only `careful` steps do, which are
-    taken by those alone whose loss falls; for others the next one is a quarter as long.
+    taken by those alone whose loss falls; for those whose loss falls little, the next one is a quarter as long.
     """
     pace = [torch.ones(()).expand(clean.shape[:2])] * len(objectives)
     for _ in range(guidance.inner_steps):
@@ -118,11 +120,12 @@ def guide_direct(
                 with torch.enable_grad():
                     actions = moved.detach().requires_grad_()
                     future = future_of(actions)
-                    better = wish.loss(future).detach() < loss.detach()
+                    left = wish.loss(future).detach()
+                pace[i] = torch.where(left < _GAIN * loss.detach(), pace[i], pace[i] / 4)
+                better = left < loss.detach()
                 if not better.all():
                     future = None
                     moved = torch.where(better[..., None, None], moved, clean)
-                    pace[i] = torch.where(better, pace[i], pace[i] / 4)
             clean = moved
         if clean is before:
             break
