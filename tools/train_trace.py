@@ -22,6 +22,7 @@ from torch import nn
 
 from ..models import ranks
 from ..models.trace.config import CONFIGS, TraceConfig
+from ..models.trace.context import Context
 from ..models.trace.crowd_file import Crowds
 from ..models.trace.diffusion import CosineSchedule
 from ..models.trace.network import Trace
@@ -151,11 +152,10 @@ class TrainingRun:
         number = self.progress.step * self.world + self.rank
         generator = torch.Generator().manual_seed(self.args.seed * 10**9 + number)
         data = self.train[int(torch.randint(len(self.train), (1,), generator=generator))]
-        rows = torch.randint(len(data), (self.args.batch,), generator=generator)
         for group in self.optimizer.param_groups:
             group["lr"] = self.rate()
         with self.autocast():
-            context, actions = data.batch(rows)
+            context, actions = self.draw(data, self.args.batch, generator)
             context = vary_observation(context, generator)
             options = {"balance": self.args.balance} if self.args.model == "trace" else {}
             loss = self.loss(
@@ -176,6 +176,15 @@ class TrainingRun:
         self.progress.step += 1
         return float(loss.detach())
 
+    def draw(
+        self, data: CrowdWindows, count: int, generator: torch.Generator
+    ) -> tuple[Context, torch.Tensor]:
+        """About so many random windows; of whole scenes, where these are learned."""
+        if not self.trace.config.estimate or self.args.model != "trace":
+            return data.batch(torch.randint(len(data), (min(count, len(data)),), generator=generator))
+        moments = max(round(count * len(data.moments) / len(data)), 1)
+        return data.batch_scenes(torch.randint(len(data.moments), (moments,), generator=generator))
+
     @torch.no_grad()
     def validate(self, windows: int = 512) -> list[float]:
         """Loss of the averaged weights on fixed windows, noise and steps of each validation set."""
@@ -183,9 +192,7 @@ class TrainingRun:
         with self.averaged():
             for data in self.val:
                 generator = torch.Generator().manual_seed(1)
-                context, actions = data.batch(
-                    torch.randint(len(data), (min(windows, len(data)),), generator=generator)
-                )
+                context, actions = self.draw(data, windows, generator)
                 step = self.single_step(self.trace)
                 losses.append(
                     float(self.loss(step, self.trace, self.schedule, context, actions, generator, drop=0.0))

@@ -162,6 +162,47 @@ def shape_for(stature: float, mass: float, male_fraction: float = 0.5) -> NDArra
     return shape
 
 
+def shape_like(
+    stature: float,
+    mass: float,
+    male_fraction: float,
+    *,
+    hip_height: float,
+    knee_height: float,
+    arm: float,
+    biacromial: float,
+    hip_half_width: float,
+    foot_length: float,
+) -> NDArray[np.float64]:
+    """Return the shape vector (10,) of somebody who was measured; the inverse of `measure`.
+
+    Args:
+        stature: m.
+        mass: kg.
+        male_fraction: 0 female, 1 male.
+        hip_height: of the joint's centre above the sole, m.
+        knee_height: of the joint's centre above the sole, m.
+        arm: upper arm and forearm, joint to joint, m.
+        biacromial: over the shoulders' bones, m.
+        hip_half_width: from the midline to the hip joint's centre, m.
+        foot_length: heel to toe tip, m.
+
+    Raises:
+        ShapeError: see `shape_for`.
+    """
+    shape = shape_for(stature, mass, male_fraction)
+    male, ankle = male_fraction, _ANKLE_HEIGHT * stature
+    shank = (knee_height - ankle) / (hip_height - ankle)
+    usual_arm = (blend(_UPPER_ARM, male) + blend(_FOREARM, male)) * stature
+    shape[3] = (hip_height / stature - _HIP_HEIGHT) / _HIP_HEIGHT_SD
+    shape[4] = (shank - _SHANK_SHARE) / _SHANK_SHARE_SD
+    shape[5] = np.log(arm / usual_arm) / _ARM_SD
+    shape[6] = (biacromial / stature - blend(_BIACROMIAL, male)) / _BIACROMIAL_SD
+    shape[7] = (2.0 * hip_half_width / stature - blend(_HIP_JOINTS, male)) / _HIP_JOINTS_SD
+    shape[9] = (foot_length / stature - blend(_FOOT_LENGTH, male)) / _FOOT_LENGTH_SD
+    return shape
+
+
 def sample_shapes(count: int, seed: int) -> NDArray[np.float64]:
     """Draw (count, 10) shape vectors of a population; people outside the supported range are drawn again."""
     rng = np.random.default_rng(seed)

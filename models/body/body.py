@@ -29,6 +29,9 @@ LOWER_LEG_BODIES: tuple[int, ...] = (*FOOT_BODIES, BODY_INDEX["L_Knee"], BODY_IN
 SOLE_POINTS: tuple[str, ...] = ("heel_inner", "heel_outer", "ball_inner", "ball_outer", "toe")
 """Points of a sole, in the order of `Body.sole`; the last moves with the toes, the others with the ankle."""
 
+SHOULDER_SHARE = 0.45
+"""Of the biacromial breadth: from the midline to the shoulder joint's centre."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
@@ -144,7 +147,11 @@ def _offsets(m: Measurements) -> NDArray[np.float64]:
         "Ankle": (0.0, m.hip_half_width, m.ankle_height),
         "Toe": (0.47 * m.foot_length, m.hip_half_width, 0.35 * m.ankle_height),
         "Thorax": (-0.004 * m.stature, 0.10 * m.biacromial, shoulder_height),  # sternoclavicular
-        "Shoulder": (-0.012 * m.stature, 0.45 * m.biacromial, shoulder_height),  # centre of the humeral head
+        "Shoulder": (
+            -0.012 * m.stature,
+            SHOULDER_SHARE * m.biacromial,
+            shoulder_height,
+        ),  # centre of the humeral head
     }
     x, y, z = left["Shoulder"]
     for name, reach in (

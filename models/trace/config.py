@@ -27,6 +27,9 @@ class TraceConfig:
             the field blurs: whether two discs touch is a matter of centimetres.
         joint: Neighbours that are denoised together follow their own noisy trajectories in that field: what
             is learned is the score of the scene, not of one person among people who walk straight on.
+        estimate: The network also reads its last estimate of the clean actions (self-conditioning, Chen et al.
+            2023), and looks up map and neighbours along what follows from it: where people are going shows long
+            before the noise has left their trajectories. Learned on whole scenes.
         widths: Channels of the U-Net levels; the time axis halves between levels.
         kernel: Width of the temporal convolutions.
         activation: Of the U-Net, `mish` or `silu`.
@@ -55,6 +58,7 @@ class TraceConfig:
     interaction: bool = True
     nearest: int = 0
     joint: bool = False
+    estimate: bool = False
     widths: tuple[int, ...] = (64, 128)
     kernel: int = 5
     activation: Literal["mish", "silu"] = "silu"
@@ -87,7 +91,7 @@ class TraceConfig:
         return cls(**fixed)
 
 
-COMPACT = TraceConfig(nearest=2, joint=True, skip=0.02)
+COMPACT = TraceConfig(nearest=2, joint=True, estimate=True, skip=0.02)
 
 PAPER = TraceConfig(
     name="paper",

@@ -23,6 +23,8 @@ class Context:
         rows: (B, N) which of the B agents each neighbour is, where all are denoised together; else None.
         neighbor_actions: (B, N, T, 2) true future actions of the neighbours in SI units, zero where they are
             gone; known in training only.
+        moment: (B,) number of the scene and time at which each stands, where those of several are denoised at
+            once: all of one moment have the same noise level.
     """
 
     ego: Tensor
@@ -34,6 +36,7 @@ class Context:
     map_known: Tensor
     rows: Tensor | None = None
     neighbor_actions: Tensor | None = None
+    moment: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.ego)

@@ -123,6 +123,7 @@ class Trace(ActionModel):
         super().__init__(config)
         self.step = StepEmbedding(config.step_width)
         inputs = 6 + self.map_encoder.queries + (6 if config.interaction else 0) + 3 * config.nearest
+        inputs += 7 if config.estimate else 0
         condition = config.context_width + config.step_width
         shape = (config.widths, condition, config.kernel, config.activation, config.fold)
         self.unet = TemporalUNet(inputs, 2, *shape)
@@ -130,7 +131,12 @@ class Trace(ActionModel):
         self.register_buffer("signal", signal, persistent=False)
 
     def forward(
-        self, noisy: Tensor, k: Tensor, encoding: Encoding, neighbors: Tensor | None = None
+        self,
+        noisy: Tensor,
+        k: Tensor,
+        encoding: Encoding,
+        neighbors: Tensor | None = None,
+        estimate: Tensor | None = None,
     ) -> Tensor:
         """Clean actions predicted from noisy ones.
 
@@ -140,18 +146,26 @@ class Trace(ActionModel):
             encoding: B rows.
             neighbors: (B, N, horizon, 2) the neighbours' actions at step k. By default those of the rows the
                 encoding names; without any, neighbours keep their velocity.
+            estimate: (B, horizon, 2) the last estimate of the clean actions, where the configuration reads it;
+                None at the first step.
 
         Returns:
             (B, horizon, 2) normalised clean actions.
         """
         trajectory = self.unroll(noisy, encoding.state)  # (B, T, 6) metres, in the ego frame
+        known = estimate if self.config.estimate else None
         with torch.no_grad():
-            positions = trajectory[..., :2].detach()
+            ahead = trajectory if known is None else self.unroll(known, encoding.state)
+            positions = ahead[..., :2].detach()
             queries = [self.map_encoder.query(encoding.map, positions)]
             queries += self._crowd_queries(positions, encoding, neighbors)
         normal = (trajectory - self.trajectory_mean) / self.trajectory_std
         if encoding.map.grid is not None:  # a learned grid is trained through its queries
             queries[0] = self.map_encoder.query(encoding.map, positions)
+        if self.config.estimate:
+            share = float(known is not None)
+            read = (ahead - self.trajectory_mean) / self.trajectory_std * share
+            queries += [read, torch.full_like(read[..., :1], share)]
         condition = torch.cat([encoding.condition, self.step(k)], -1)
         kind = next(self.unet.parameters()).dtype
         out = self.unet(torch.cat([normal, *queries], -1).to(kind), condition.to(kind)).to(noisy.dtype)

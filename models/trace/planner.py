@@ -243,13 +243,13 @@ class TracePlanner:
             first = next((i for i, k in enumerate(solver.timesteps) if k <= level), len(solver.timesteps) - 1)
             a = self.schedule.alphas_cumprod[solver.timesteps[first]]
             noise = a.sqrt() * start + (1 - a).sqrt() * noise
-        noisy = noise
+        noisy, estimate = noise, start
         for i in range(first, len(solver.timesteps)):
             k = solver.timesteps[i]
-            clean, shift = self._guided(noisy, k, encodings, future_of, objectives)
+            clean, shift = self._guided(noisy, k, encodings, estimate, future_of, objectives)
             if objectives:
                 clean = self._within_speeds(clean, context.speed)
-            noisy = solver.step(clean, noisy, i, generator) - shift
+            noisy, estimate = solver.step(clean, noisy, i, generator) - shift, clean
         return noisy
 
     def _polish(
@@ -258,7 +258,7 @@ class TracePlanner:
         """The chosen samples (A, 1, horizon, 2) after more steps towards what is asked, safety last."""
         steps, none = self.guidance.polish, torch.zeros(())
         all_in_turn = replace(self.guidance, inner_steps=steps)
-        safety = replace(self.guidance, inner_steps=4 * steps, met=SAFE)
+        safety = replace(self.guidance, inner_steps=2 * steps, met=SAFE)
         best = guide_direct(best, future_of, objectives, all_in_turn, none, careful=True)
         best = self._within_speeds(best, context.speed)
         best = guide_direct(best, future_of, [w for w in objectives if w.safety], safety, none, careful=True)
@@ -279,22 +279,23 @@ class TracePlanner:
         noisy: Tensor,
         k: int,
         encodings: list[Encoding],
+        estimate: Tensor | None,
         future_of: FutureOf,
         objectives: Sequence[Objective],
     ) -> tuple[Tensor, Tensor | float]:
         """Guided clean actions, and what guidance takes off the next noisy ones."""
         guidance = self.guidance
         if not objectives:
-            return self._predict(noisy, k, encodings), 0.0
+            return self._predict(noisy, k, encodings, estimate), 0.0
         variance = self.schedule.posterior(noisy, noisy, k)[1]
         if guidance.mode == "clean":
             with torch.enable_grad():
                 noisy = noisy.detach().requires_grad_()
-                clean = self._predict(noisy, k, encodings)
+                clean = self._predict(noisy, k, encodings, estimate)
                 loss = total_loss(objectives, future_of(clean))
                 gradient = gradient_of(loss, noisy)
             return clean.detach() - guidance.step(loss.detach(), gradient, variance), 0.0
-        clean = self._predict(noisy, k, encodings)
+        clean = self._predict(noisy, k, encodings, estimate)
         if guidance.mode == "direct":
             return guide_direct(clean, future_of, objectives, guidance, variance), 0.0
         with torch.enable_grad():
@@ -311,11 +312,12 @@ class TracePlanner:
         with torch.no_grad():
             return [self.trace.encode(c).repeat(self.sampling.samples) for c in contexts]
 
-    def _predict(self, noisy: Tensor, k: int, encodings: list[Encoding]) -> Tensor:
+    def _predict(self, noisy: Tensor, k: int, encodings: list[Encoding], estimate: Tensor | None) -> Tensor:
         rows = noisy.flatten(0, 1)
+        known = None if estimate is None else estimate.flatten(0, 1)
         steps = torch.full((len(rows),), k)
         with torch.set_grad_enabled(noisy.requires_grad):
-            clean = [self.trace(rows, steps, e).reshape(noisy.shape) for e in encodings]
+            clean = [self.trace(rows, steps, e, estimate=known).reshape(noisy.shape) for e in encodings]
         if len(clean) == 1:
             return clean[0]
         return self.schedule.classifier_free(clean[0], clean[1], noisy, k, self.sampling.context_weight)

@@ -11,6 +11,8 @@ from .diffusion import CosineSchedule
 from .network import Trace
 from .windows import CrowdWindows
 
+_READS_ESTIMATE = 0.5  # share of steps that learn with an estimate (Chen et al. 2023)
+
 
 def denoising_loss(
     model: nn.Module,
@@ -39,14 +41,19 @@ def denoising_loss(
     lost = torch.rand(2, count, generator=generator) < drop
     context = context.drop(maps=lost[0], neighbors=lost[1])
     clean = (actions - trace.trajectory_mean[4:]) / trace.trajectory_std[4:]
-    k = torch.randint(len(schedule), (count,), generator=generator)
+    if context.moment is None:
+        k = torch.randint(len(schedule), (count,), generator=generator)
+    else:
+        k = torch.randint(len(schedule), (int(context.moment.max()) + 1,), generator=generator)
+        k = k[context.moment]
     noise = torch.randn(clean.shape, generator=generator)
     state = context.initial_state()
     neighbors = None
     if trace.config.joint and context.neighbor_actions is not None:
         theirs = (context.neighbor_actions - trace.trajectory_mean[4:]) / trace.trajectory_std[4:]
         neighbors = schedule.add_noise(theirs, torch.randn(theirs.shape, generator=generator), k)
-    predicted = model(schedule.add_noise(clean, noise, k), k, context, neighbors)
+    twice = trace.config.estimate and bool(torch.rand((), generator=generator) < _READS_ESTIMATE)
+    predicted = model(schedule.add_noise(clean, noise, k), k, context, neighbors, twice)
     error = (trace.unroll(predicted.float(), state) - trace.unroll(clean, state)) / trace.trajectory_std
     a = schedule.alphas_cumprod[k]
     weight = ((a / (1 - a)) ** (balance / 2)).clamp(0.3, 10.0) if balance else torch.ones(())
@@ -81,9 +88,20 @@ class DenoisingStep(nn.Module):
         super().__init__()
         self.trace = trace
 
-    def forward(self, noisy: Tensor, k: Tensor, context: Context, neighbors: Tensor | None = None) -> Tensor:
-        """Predicted clean actions, see `Trace.forward`."""
-        return self.trace(noisy, k, self.trace.encode(context), neighbors)
+    def forward(
+        self,
+        noisy: Tensor,
+        k: Tensor,
+        context: Context,
+        neighbors: Tensor | None = None,
+        twice: bool = False,
+    ) -> Tensor:
+        """Predicted clean actions, see `Trace.forward`; `twice` predicts again with the first as its estimate."""
+        encoding, estimate = self.trace.encode(context), None
+        if twice:
+            with torch.no_grad():
+                estimate = self.trace(noisy, k, encoding, neighbors).detach()
+        return self.trace(noisy, k, encoding, neighbors, estimate)
 
 
 @torch.no_grad()

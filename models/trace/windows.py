@@ -1,6 +1,7 @@
 """Training samples: windows of past and future motion cut from crowds, gathered for a whole batch at once."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -102,13 +103,45 @@ class CrowdWindows:
         """Contexts and the true future actions (B, horizon, 2) in SI units of windows number `rows` (B,)."""
         return self.gather(*self.index[rows].unbind(1))
 
-    def gather(self, scene: Tensor, agent: Tensor, now: Tensor) -> tuple[Context, Tensor]:
-        """The same for people `agent` (B,) of scenes `scene` (B,) at frames `now` (B,)."""
+    @cached_property
+    def moments(self) -> Tensor:
+        """(M, 2) scenes and frames at which there is a window of somebody."""
+        return self.index[:, [0, 2]].unique(dim=0)
+
+    def batch_scenes(self, rows: Tensor) -> tuple[Context, Tensor]:
+        """Everybody who has a window at moments number `rows` (M,), among each other: contexts name their rows.
+
+        Returns:
+            Contexts of the B people of all moments, and their true future actions (B, horizon, 2) in SI units.
+        """
+        scene, now = self.moments[rows].unbind(1)
+        stays = self.present[scene, :, now] & self.present[scene, :, now + self.config.horizon]  # (M, N)
+        moment, agent = stays.nonzero().unbind(1)
+        return self.gather(scene[moment], agent, now[moment], stays, moment)
+
+    def gather(
+        self,
+        scene: Tensor,
+        agent: Tensor,
+        now: Tensor,
+        among: Tensor | None = None,
+        moment: Tensor | None = None,
+    ) -> tuple[Context, Tensor]:
+        """The same for people `agent` (B,) of scenes `scene` (B,) at frames `now` (B,).
+
+        Args:
+            scene: Numbers of scenes.
+            agent: Numbers of people in them.
+            now: Numbers of frames.
+            among: (M, N) who else is there at M moments, where these people are all of them; else everybody is.
+            moment: (B,) of these, for each.
+        """
         past = now[:, None] + torch.arange(1 - self.config.history, 1)  # (B, H)
         future = now[:, None] + torch.arange(1, self.config.horizon + 1)
         everybody = self.states[scene, :, now, :2]  # (B, N, 2)
         distance = (everybody - self.states[scene, agent, now, :2][:, None]).norm(dim=-1)
-        distance = torch.where(self.present[scene, :, now], distance, torch.inf)
+        there = self.present[scene, :, now] if among is None else among[moment]
+        distance = torch.where(there, distance, torch.inf)
         distance[torch.arange(len(agent)), agent] = torch.inf
         others = distance.argsort(1)[:, : min(self.config.max_neighbors, distance.shape[1] - 1)]
         s, p = scene[:, None, None], past[:, None]
@@ -118,8 +151,13 @@ class CrowdWindows:
         neighbors = states, present & apart[..., None], size
         unique, local = scene.unique(return_inverse=True)
         context = ego_context(ego, neighbors, self.maps(unique), local, radius=self.config.neighbor_radius)
-        theirs = self.actions[s, others[..., None], future[:, None]]
-        context = replace(context, neighbor_actions=theirs)
+        if among is None:
+            theirs = self.actions[s, others[..., None], future[:, None]]
+            context = replace(context, neighbor_actions=theirs)
+        else:
+            row_of = torch.zeros(among.shape, dtype=torch.long)
+            row_of[moment, agent] = torch.arange(len(agent))
+            context = replace(context, rows=row_of[moment].gather(1, others), moment=moment)
         return context, self.actions[scene[:, None], agent[:, None], future]
 
     def maps(self, scenes: Tensor) -> SceneMaps | None:

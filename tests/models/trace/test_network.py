@@ -226,3 +226,37 @@ def test_config_survives_json_and_names_unknown_fields():
     assert TraceConfig.from_dict(PAPER.to_dict()) == PAPER
     with pytest.raises(ValueError, match="no field 'colour'"):
         TraceConfig.from_dict({"colour": 1})
+
+
+def test_map_and_neighbours_are_looked_up_along_the_last_estimate():
+    torch.manual_seed(4)
+    model = Trace(COMPACT).eval()
+    c = scene_context(torch.randn(3, 31, 4), torch.full((3, 2), 0.8))
+    first, second, going = torch.randn(3, 3, 52, 2)
+    k = torch.full((3,), 70)
+    with torch.no_grad():
+        encoding = model.encode(c)
+        unaware = model(first, k, encoding)
+        assert torch.equal(model(first, k, encoding, estimate=None), unaware)
+        aware = model(first, k, encoding, estimate=going)
+        assert (aware - unaware).abs().max() > 1e-3
+        spy = Spy()
+        model.unet = spy  # pyright: ignore  what the network reads: 6 of the noisy trajectory, then what is seen of the rest
+        model(first, k, encoding, estimate=going)
+        model(second, k, encoding, estimate=going)
+    one, other = spy.seen
+    assert not torch.equal(one[..., :6], other[..., :6]) and torch.equal(one[..., 6:], other[..., 6:])
+    assert (one[..., -1] == 1).all()
+
+
+class Spy(torch.nn.Module):
+    """Keeps what it is given."""
+
+    def __init__(self):
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.zeros(()))
+        self.seen: list[torch.Tensor] = []
+
+    def forward(self, x, condition):
+        self.seen.append(x)
+        return x[..., :2]

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -50,6 +52,35 @@ def test_balance_weighs_a_step_by_its_signal_to_noise_ratio():
         schedule = CosineSchedule(100)
         schedule.alphas_cumprod = torch.full((100,), a)  # one noise level only
         assert loss(schedule, 1.0) == pytest.approx(weight * loss(schedule, 0.0), rel=1e-4)
+
+
+def test_people_of_one_moment_are_equally_noisy_and_learn_with_and_without_an_estimate():
+    model = Trace(COMPACT).eval()
+    context = replace(walkers(60), moment=torch.arange(60) // 20)
+    levels, with_estimate = [], []
+
+    def record(noisy, k, context, neighbors, twice):
+        levels.append(k)
+        with_estimate.append(twice)
+        return noisy
+
+    for seed in range(30):
+        generator = torch.Generator().manual_seed(seed)
+        schedule = CosineSchedule(100)
+        denoising_loss(record, model, schedule, context, torch.randn(60, 52, 2), generator)  # pyright: ignore
+    assert all((k.reshape(3, 20) == k.reshape(3, 20)[:, :1]).all() for k in levels)
+    assert len(torch.stack(levels).unique()) > 30
+    assert 5 < sum(with_estimate) < 25
+
+
+def test_an_estimate_is_the_first_prediction_and_learns_nothing_itself():
+    torch.manual_seed(0)
+    model, context = Trace(COMPACT).eval(), walkers(4)
+    noisy, k = torch.randn(4, 52, 2), torch.full((4,), 60)
+    with torch.no_grad():
+        encoding = model.encode(context)
+        by_hand = model(noisy, k, encoding, estimate=model(noisy, k, encoding))
+    assert torch.allclose(DenoisingStep(model)(noisy, k, context, twice=True), by_hand, atol=1e-6)
 
 
 def test_moving_average_follows_slowly():

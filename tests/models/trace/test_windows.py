@@ -171,3 +171,20 @@ def test_too_short_scenes_are_refused():
     crowds = pack_crowds(spec, simulate_crowds(spec, 0, range(1)), 0)
     with pytest.raises(CrowdFileError, match="no window of 83 frames"):
         CrowdWindows(crowds, "train", COMPACT)
+
+
+def test_people_of_a_moment_are_each_others_neighbors(crowds):
+    windows = CrowdWindows(crowds, "train", COMPACT)
+    context, actions = windows.batch_scenes(torch.tensor([0, 17, 17, 60]))
+    assert context.rows is not None and context.moment is not None
+    assert context.moment.unique().tolist() == [0, 1, 2, 3] and len(context) == len(actions)
+    seen = context.neighbors[:, :, -1, 7] > 0
+    ego, other = seen.nonzero().unbind(1)
+    rows = context.rows[seen]
+    assert torch.equal(context.moment[ego], context.moment[rows]) and (ego != rows).all()
+    there = from_frame(context.neighbors[ego, None, other, -1, :2], context.pose[ego])[:, 0]
+    assert torch.allclose(there, context.pose[rows, :2], atol=1e-4)
+    scene, frame = windows.moments[17].tolist()
+    alone, truth = windows.gather(*(torch.tensor([x]) for x in (scene, int(windows.index[0, 1]), frame)))
+    same = (context.moment == 1) & torch.isclose(context.pose, alone.pose).all(1)
+    assert same.sum() == 1 and torch.equal(actions[same], truth)
