@@ -69,10 +69,17 @@ class CosineSchedule:
 
     def posterior(self, clean: Tensor, noisy: Tensor, k: int) -> tuple[Tensor, Tensor]:
         """Mean and variance of the step from k to k-1 (TRACE eq 9); the variance is 0 at k = 0."""
-        beta, a = self.betas[k], self.alphas_cumprod[k]
-        before = self.alphas_cumprod[k - 1] if k > 0 else torch.tensor(1.0)
+        a, before = self.alphas_cumprod[k], self._before(k)
+        beta = 1 - a / before  # of the same rounding as a: at k = 0 the mean is the clean sample itself
         mean = (before.sqrt() * beta * clean + (1 - beta).sqrt() * (1 - before) * noisy) / (1 - a)
-        return mean, beta * (1 - before) / (1 - a)
+        return mean, self.variance(k)
+
+    def variance(self, k: int) -> Tensor:
+        """Sigma_k, the variance of that step."""
+        return self.betas[k] * (1 - self._before(k)) / (1 - self.alphas_cumprod[k])
+
+    def _before(self, k: int) -> Tensor:
+        return self.alphas_cumprod[k - 1] if k > 0 else torch.tensor(1.0)
 
 
 class Solver(Protocol):

@@ -177,6 +177,8 @@ class Trace(ActionModel):
         config = self.config
         if not (config.interaction or config.nearest):
             return []
+        if not encoding.crowd[..., 5].any():  # nobody is near
+            return [positions.new_zeros(*positions.shape[:2], 6 * config.interaction + 3 * config.nearest)]
         crowd = self._crowd_paths(positions, encoding, neighbors)
         fields = [crowd_field(positions, crowd)] if config.interaction else []
         return fields + ([nearest_neighbors(positions, crowd, config.nearest)] if config.nearest else [])

@@ -287,7 +287,7 @@ class TracePlanner:
         guidance = self.guidance
         if not objectives:
             return self._predict(noisy, k, encodings, estimate), 0.0
-        variance = self.schedule.posterior(noisy, noisy, k)[1]
+        variance = self.schedule.variance(k)
         if guidance.mode == "clean":
             with torch.enable_grad():
                 noisy = noisy.detach().requires_grad_()
