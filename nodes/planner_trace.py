@@ -28,6 +28,8 @@ log = logging.getLogger(__name__)
 
 CLEARANCE = 0.4
 """Ways keep so far from obstacles [m]."""
+GUIDANCE_STEPS = 2
+"""Per denoising step: wishes here lead far from what people would do by themselves, as round a wall."""
 STILL = 0.25
 """Who moves no further than this, for `STANDS` at least, stands [m]."""
 STANDS = 1.0
@@ -72,7 +74,9 @@ class TraceMethod:
         sampling = Sampling(steps=steps, samples=samples, context_weight=context_weight)
         try:
             self._planner = TracePlanner.load(
-                Path(weights) if weights else WEIGHTS, sampling, Guidance(mode=guidance)
+                Path(weights) if weights else WEIGHTS,
+                sampling,
+                Guidance(mode=guidance, inner_steps=GUIDANCE_STEPS),
             )
             self._everybody = [
                 Objective(name, {k: v for k, v in values.items() if k != "weight"}, values.get("weight", 1.0))

@@ -29,8 +29,8 @@ class Guidance:
             the step to the zero of the linearised loss, which needs no tuning because every loss has
             minimum 0.
         strength: alpha; for `polyak` between 0 and 2.
-        inner_steps: Steps per denoising step in mode `direct`. One keeps nearer to the data than several and
-            reaches no less, as the chosen sample is polished.
+        inner_steps: Steps per denoising step in mode `direct`. One keeps nearer to the data than several, and as
+            the chosen sample is polished, it reaches no less where people might go there by themselves.
         limit: Longest step of one sample's actions, root mean square over the horizon, in standard
             deviations.
         polish: More steps for the chosen samples at the end, in mode `direct`, and up to twice as many for the
