@@ -181,7 +181,7 @@ class TrainingRun:
     ) -> tuple[Context, torch.Tensor]:
         """About so many random windows; of whole scenes, where these are learned."""
         if not self.trace.config.estimate or self.args.model != "trace":
-            return data.batch(torch.randint(len(data), (min(count, len(data)),), generator=generator))
+            return data.batch(torch.randint(len(data), (count,), generator=generator))
         moments = max(round(count * len(data.moments) / len(data)), 1)
         return data.batch_scenes(torch.randint(len(data.moments), (moments,), generator=generator))
 

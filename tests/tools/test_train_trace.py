@@ -84,9 +84,9 @@ def test_a_run_leaves_weights_curve_and_picture(data, tmp_path):
 
 
 def test_training_learns(data, tmp_path):
-    assert run(data, tmp_path, 60, "--batch", "16", "--rate", "1e-3") == 0
-    checks = [float(row["orca-interact"]) for row in curve(tmp_path)]
-    assert min(checks) < 0.8 * checks[0]
+    assert run(data, tmp_path, 56, "--batch", "16", "--rate", "1e-3") == 0
+    rows = curve(tmp_path)
+    assert float(rows[-1]["orca-interact"]) < 0.8 * float(rows[0]["orca-interact"])
 
 
 def test_missing_data_is_explained(tmp_path, capsys):
