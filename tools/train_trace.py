@@ -72,6 +72,9 @@ def add_parser(subparsers) -> None:
     parser.add_argument(
         "--balance", type=float, default=0.0, help="1: all noise levels count alike; 0: the paper's loss"
     )
+    parser.add_argument(
+        "--touch", type=float, default=0.0, help="weight of people who overlap in predictions; the paper: 0"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=None, help="of each process (default: torch decides)")
     parser.add_argument("--full-precision", action="store_true", help="no bfloat16")
@@ -157,7 +160,9 @@ class TrainingRun:
         with self.autocast():
             context, actions = self.draw(data, self.args.batch, generator)
             context = vary_observation(context, generator)
-            options = {"balance": self.args.balance} if self.args.model == "trace" else {}
+            options = {}
+            if self.args.model == "trace":
+                options = {"balance": self.args.balance, "touch": self.args.touch, "radius": data.radius}
             loss = self.loss(
                 self.model,
                 self.trace,
@@ -221,6 +226,7 @@ class TrainingRun:
             "batch": args.batch * self.world,
             "drop": args.drop,
             "balance": args.balance,
+            "touch": args.touch,
             "data": self.sources,
         }
 

@@ -6,12 +6,14 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from .context import Context
+from .context import Context, from_frame
 from .diffusion import CosineSchedule
 from .network import Trace
 from .windows import CrowdWindows
 
 _READS_ESTIMATE = 0.5  # share of steps that learn with an estimate (Chen et al. 2023)
+_APART = 0.05  # room that people keep beyond their discs [m]
+_SETTLED = 8  # power of the clean signal's share by which overlaps count: who goes first is settled early on
 
 
 def denoising_loss(
@@ -23,6 +25,8 @@ def denoising_loss(
     generator: torch.Generator,
     drop: float = 0.1,
     balance: float = 0.0,
+    touch: float = 0.0,
+    radius: float = 0.4,
 ) -> Tensor:
     """Mean squared error of the predicted clean states and actions, normalised (TRACE eq 3, app. A.1.1).
 
@@ -36,6 +40,8 @@ def denoising_loss(
         drop: Probability with which the map, and independently the neighbours, are dropped.
         balance: Errors at step k weigh (signal / noise)^balance, within 0.3 to 10. 0 is the paper's, which
             lets the noisiest steps rule; with 1 all steps weigh about alike.
+        touch: Weight of `overlap`, of whole scenes; the paper has none.
+        radius: Of people's discs [m].
     """
     count = len(actions)
     lost = torch.rand(2, count, generator=generator) < drop
@@ -54,10 +60,39 @@ def denoising_loss(
         neighbors = schedule.add_noise(theirs, torch.randn(theirs.shape, generator=generator), k)
     twice = trace.config.estimate and bool(torch.rand((), generator=generator) < _READS_ESTIMATE)
     predicted = model(schedule.add_noise(clean, noise, k), k, context, neighbors, twice)
-    error = (trace.unroll(predicted.float(), state) - trace.unroll(clean, state)) / trace.trajectory_std
+    guess, truth = trace.unroll(predicted.float(), state), trace.unroll(clean, state)
     a = schedule.alphas_cumprod[k]
     weight = ((a / (1 - a)) ** (balance / 2)).clamp(0.3, 10.0) if balance else torch.ones(())
-    return (weight * error.square().mean((1, 2))).mean()
+    loss = (weight * ((guess - truth) / trace.trajectory_std).square().mean((1, 2))).mean()
+    if not touch or context.rows is None:
+        return loss
+    return loss + touch * (a.pow(_SETTLED) * overlap(guess, truth, context, 2 * radius + _APART)).mean()
+
+
+def overlap(guess: Tensor, truth: Tensor, context: Context, apart: float) -> Tensor:
+    """How much nearer people are led to each other than they may be, and than they truly come: (B,) [m].
+
+    A mean squared error hardly sees whether two discs just touch or just do not, which the eye sees first.
+
+    Args:
+        guess: (B, T, >= 2) predicted x, y, ego frame, of all people of some moments.
+        truth: The same, true.
+        context: These people, among each other; who does not see somebody owes them nothing.
+        apart: Distance of their centres from which on people may come no nearer [m].
+
+    Returns:
+        Summed over neighbours, averaged over time.
+    """
+    rows = context.rows
+    assert rows is not None
+
+    def distance(paths: Tensor) -> Tensor:
+        world = from_frame(paths[..., :2], context.pose)
+        return (world[rows] - world[:, None]).square().sum(-1).add(1e-6).sqrt()  # (B, N, T)
+
+    allowed = distance(truth).clamp(max=apart)
+    depth = torch.relu(allowed - distance(guess)) * context.neighbors[:, :, -1, 7, None]
+    return depth.sum(1).mean(1)
 
 
 def vary_observation(context: Context, generator: torch.Generator, late: float = 0.3) -> Context:

@@ -7,7 +7,13 @@ from footfall.models.trace.config import COMPACT
 from footfall.models.trace.context import scene_context
 from footfall.models.trace.diffusion import CosineSchedule
 from footfall.models.trace.network import Trace
-from footfall.models.trace.training import DenoisingStep, MovingAverage, denoising_loss, vary_observation
+from footfall.models.trace.training import (
+    DenoisingStep,
+    MovingAverage,
+    denoising_loss,
+    overlap,
+    vary_observation,
+)
 
 
 def walkers(agents=200):
@@ -52,6 +58,21 @@ def test_balance_weighs_a_step_by_its_signal_to_noise_ratio():
         schedule = CosineSchedule(100)
         schedule.alphas_cumprod = torch.full((100,), a)  # one noise level only
         assert loss(schedule, 1.0) == pytest.approx(weight * loss(schedule, 0.0), rel=1e-4)
+
+
+def test_two_owe_each_other_the_distance_they_truly_keep():
+    states = torch.zeros(3, 31, 4)
+    states[:, :, 1] = torch.tensor([0.0, 2.0, 9.0])[:, None]  # everybody looks along x
+    context = scene_context(states, torch.full((3, 2), 0.8), radius=5.0)
+    truth = torch.zeros(3, 52, 2)
+    truth[0, 26:, 1] = 1.3  # 0.7 m from the second: nearer than allowed, but so it was
+    guess = truth.clone()
+    guess[1, :, 1] = -0.9  # leads the second person towards the first
+    depth = overlap(guess, truth, context, apart=0.85)
+    assert depth[:2].tolist() == pytest.approx(
+        [0.25, 0.25], abs=1e-4
+    )  # 0.2 m instead of 0.7 m, half of the time
+    assert depth[2] == 0.0
 
 
 def test_people_of_one_moment_are_equally_noisy_and_learn_with_and_without_an_estimate():
