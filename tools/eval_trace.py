@@ -40,6 +40,8 @@ UNGUIDED = Sampling(solver="ddpm", samples=3, context_weight=0.5)
 FEW_STEPS = Sampling(samples=3)
 SEVERAL = Sampling(samples=20)
 SLOW = Sampling(solver="ddim", steps=20, samples=20)
+FAITHFUL = Sampling(solver="sde", steps=20, samples=20, context_weight=0.5)
+"""Of tables 5 and 6: 20 samples of all 100 steps would take a quarter of an hour a row."""
 METHODS: dict[str, tuple[Sampling, Guidance]] = {
     "noisy": (SLOW, Guidance(mode="noisy")),
     "clean": (SLOW, Guidance(mode="clean")),
@@ -70,7 +72,16 @@ METRICS = {
 LAST = {"seconds": "CPU s/scene"}
 COLUMNS: dict[str, dict[str, str]] = {
     "1": {"guide": "guide", "method": "method", "error": "guide error", **METRICS, **LAST},
-    "5": {"method": "method", "ade": "ADE", "fde": "FDE", **METRICS},
+    "5": {"method": "method", "steps": "steps", "ade": "ADE", "fde": "FDE", **METRICS},
+    "6": {
+        "method": "method",
+        "data": "trained on",
+        "drop": "drop rate",
+        "steps": "steps",
+        "ade": "ADE",
+        "fde": "FDE",
+        **METRICS,
+    },
     "7": {"w": "w", "method": "method", **METRICS},
     "samplers": {
         "sampler": "sampler",
@@ -85,7 +96,8 @@ COLUMNS: dict[str, dict[str, str]] = {
 """Of each table: key in JSON and heading in Markdown."""
 TITLES = {
     "1": "Guidance on ORCA-Maps (TRACE, table 1)",
-    "5": "No guidance, the sample nearest to the truth of 20 (TRACE, table 5)",
+    "5": "No guidance, the sample nearest to the truth of 20: architecture (TRACE, table 5)",
+    "6": "No guidance, the sample nearest to the truth of 20: training (TRACE, table 6)",
     "7": "Classifier-free sampling without guidance (TRACE, table 7)",
     "samplers": "Quality and time of the samplers",
     **closed_loop.TITLES,
@@ -103,6 +115,9 @@ def add_parser(subparsers) -> None:
         "--guides", nargs="+", choices=sorted(GUIDES), default=list(GUIDES), help="of table 1"
     )
     parser.add_argument("--methods", nargs="+", choices=CHOICES, default=CHOICES, help="of table 1")
+    parser.add_argument(
+        "--others", type=Path, nargs="+", default=[], metavar="WEIGHTS", help="ablations, for tables 5 and 6"
+    )
     parser.add_argument("--scenes", type=int, default=None, help="only so many (default: all of the split)")
     parser.add_argument("--quick", action="store_true", help=f"the first {QUICK_SCENES} scenes")
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -218,21 +233,51 @@ def table_1(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
             yield labels | {"error": guide_error(guide, report), **metrics(report), "seconds": report.seconds}
 
 
+def nearest_to_truth(scenes: TrialScenes, planner: TracePlanner) -> Row:
+    """Figures of the best of an unguided planner's samples."""
+    report = evaluate_all(scenes, planner, choice="truth")
+    return {"ade": report.ade, "fde": report.fde, **metrics(report)}
+
+
 def table_5(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
-    """Accuracy of the best of 20 unguided samples."""
+    """Other samplers and architectures."""
     yield from paper.TABLE_5
     apart = Trace(dataclasses.replace(trace.config, joint=False))
     apart.load_state_dict(trace.state_dict())
+    name = trace.config.name
     planners = {
-        trace.config.name: TracePlanner(trace, dataclasses.replace(UNGUIDED, samples=20)),
-        f"{trace.config.name}, {SEVERAL.solver} {SEVERAL.steps}": TracePlanner(trace, SEVERAL),
-        f"{trace.config.name}, neighbours at constant velocity": TracePlanner(apart.eval(), SEVERAL),
+        name: TracePlanner(trace, FAITHFUL),
+        f"{name}, {SEVERAL.solver} {SEVERAL.steps}": TracePlanner(trace, SEVERAL),
+        f"{name}, neighbours at constant velocity": TracePlanner(apart.eval(), FAITHFUL),
     }
+    steps = {method: load_model(args.weights)[1].get("step") for method in planners}
+    for path in args.others:
+        other, facts = load_model(path)
+        planners[other.config.name] = TracePlanner(other, FAITHFUL)
+        steps[other.config.name] = facts.get("step")
     if VAE_WEIGHTS.is_file():
-        planners["VAE"] = VaePlanner(load_vae()[0], 20)
-    for name, planner in planners.items():
-        report = evaluate_all(scenes, planner, choice="truth")
-        yield {"method": name, "ade": report.ade, "fde": report.fde, **metrics(report)}
+        vae, facts = load_vae()
+        planners["VAE"], steps["VAE"] = VaePlanner(vae, 20), facts.get("step")
+    for method, planner in planners.items():
+        yield {"method": method, "steps": count(steps[method]), **nearest_to_truth(scenes, planner)}
+
+
+def table_6(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
+    """Other data and rates of dropping map and neighbours; ours among those of `--others` that differ in them."""
+    yield from paper.TABLE_6
+    for path in (args.weights, *args.others):
+        model, facts = load_model(path)
+        if model.config != trace.config:
+            continue
+        names = [source["name"] for source in facts["data"] if "scenes" in source]
+        labels = {"data": ", ".join(n.removeprefix("orca-") for n in names), "drop": facts["drop"]}
+        row = nearest_to_truth(scenes, TracePlanner(model, FAITHFUL))
+        yield {"method": trace.config.name, **labels, "steps": count(facts["step"]), **row}
+
+
+def count(number: int | None) -> str | None:
+    """A whole number in a table."""
+    return None if number is None else str(number)
 
 
 def table_7(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
@@ -263,7 +308,7 @@ def table_samplers(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) 
             yield labels | {"error": error, **metrics(report), "ratio": ratio, "seconds": report.seconds}
 
 
-TABLES = {"1": table_1, "5": table_5, "7": table_7, "samplers": table_samplers}
+TABLES = {"1": table_1, "5": table_5, "6": table_6, "7": table_7, "samplers": table_samplers}
 
 
 def markdown_row(table: str, row: Row) -> str:

@@ -1,6 +1,6 @@
 """Named configurations of TRACE: `PAPER` is Rempe et al. 2023 as printed, `COMPACT` runs on two cores."""
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
 
@@ -21,7 +21,9 @@ class TraceConfig:
         map_layers: Semantic layers of the map, in channel order.
         map_encoder: `grid` learns a feature grid from an ego-frame raster crop; `distance` reads the
             signed distance field of the scene around every trajectory point and on a coarse ego-frame
-            lattice.
+            lattice. The ablations: `global` makes one vector of the crop, `raster` of the crop with the past
+            drawn into it.
+        map_pixels: Side of the crop of 18.7 m.
         interaction: Feed the field of neighbours along the trajectory.
         nearest: How many of the nearest neighbours are also fed one by one, with direction and distance, which
             the field blurs: whether two discs touch is a matter of centimetres.
@@ -54,7 +56,8 @@ class TraceConfig:
     max_neighbors: int = 10
     neighbor_radius: float = 15.0
     map_layers: tuple[str, ...] = ("obstacle",)
-    map_encoder: Literal["grid", "distance"] = "distance"
+    map_encoder: Literal["grid", "distance", "global", "raster"] = "distance"
+    map_pixels: int = 224
     interaction: bool = True
     nearest: int = 0
     joint: bool = False
@@ -107,4 +110,11 @@ PAPER = TraceConfig(
     context_hidden=(256, 256, 256, 256),
 )
 
-CONFIGS = {config.name: config for config in (COMPACT, PAPER)}
+ABLATIONS = [
+    replace(config, name=f"{config.name}_{encoder}", map_encoder=encoder, map_pixels=pixels)
+    for config, pixels in ((COMPACT, 56), (PAPER, 224))
+    for encoder in ("global", "raster")
+]
+"""Other conditioning on the map (table 5)."""
+
+CONFIGS = {config.name: config for config in (COMPACT, PAPER, *ABLATIONS)}

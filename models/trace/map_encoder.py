@@ -1,7 +1,7 @@
-"""The two map encoders: the paper's learned feature grid, and lookups in the signed distance field.
+"""The map encoders: the paper's learned feature grid, lookups in the signed distance field, and the ablations.
 
-Both turn the map into something that is computed once per plan, and answer a query along the noisy
-trajectory.
+Each turns the map into something that is computed once per plan. The first two answer a query along the noisy
+trajectory; the ablations `global` and `raster` (TRACE app. D.2) give one vector for the whole map.
 """
 
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .blocks import Mlp
+from .config import TraceConfig
 from .context import Context, from_frame
 from .scene_map import SceneMaps
 
@@ -49,10 +50,11 @@ class DistanceMapEncoder(nn.Module):
     lattice: Tensor
     stencil: Tensor
     clip = 2.0  # beyond this distance [m] an obstacle is no different from none
+    draws_people = False
 
-    def __init__(self, layers: tuple[str, ...]):
+    def __init__(self, config: TraceConfig):
         super().__init__()
-        self.layers = layers
+        layers = self.layers = config.map_layers
         x, y = torch.meshgrid(torch.arange(-2.0, 11.0), torch.arange(-6.0, 7.0), indexing="ij")
         self.register_buffer("lattice", torch.stack([x, y], -1).reshape(-1, 2), persistent=False)
         ring = torch.arange(8) * torch.pi / 4
@@ -149,30 +151,22 @@ class UpBlock(nn.Module):
         return self.body(torch.cat([x, skip], 1))
 
 
-class GridMapEncoder(nn.Module):
-    """The paper's encoder: a 224 px ego-frame crop to a 56 x 56 x 32 feature grid (TRACE app. A.1.2)."""
+class CropMapEncoder(nn.Module):
+    """What draws the map around each agent: an ego-frame crop of 18.7 m (TRACE app. A.1.2)."""
 
     crop: Tensor
-    pixels, per_metre, cells, behind = 224, 12.0, 56, 14 / 3  # 4.67 m behind, 14 m ahead, left and right
+    side, behind = 56 / 3, 14 / 3  # 4.67 m behind, 14 m ahead, left and right: 224 px of 12 a metre
+    draws_people = False
 
-    def __init__(self, layers: tuple[str, ...]):
+    def __init__(self, config: TraceConfig):
         super().__init__()
-        self.layers = layers
-        along = (torch.arange(self.pixels) + 0.5) / self.per_metre
-        x, y = torch.meshgrid(along - self.behind, along - self.pixels / self.per_metre / 2, indexing="ij")
+        self.layers, self.pixels = config.map_layers, config.map_pixels
+        along = (torch.arange(self.pixels) + 0.5) * self.side / self.pixels
+        x, y = torch.meshgrid(along - self.behind, along - self.side / 2, indexing="ij")
         self.register_buffer("crop", torch.stack([x, y], -1).reshape(-1, 2), persistent=False)
-        self.backbone = ResNet18(len(layers))
-        self.deepest = nn.Conv2d(512, 512, 3, 1, 1)
-        self.up = nn.ModuleList([UpBlock(512, 256, 256), UpBlock(256, 128, 128), UpBlock(128, 64, 64)])
-        self.residual = nn.Sequential(
-            nn.Conv2d(64, 64, 1), nn.ReLU(), nn.Conv2d(64, 64, 3, 1, 1), nn.Conv2d(64, 64, 1)
-        )
-        self.head = nn.Conv2d(64, 32, 1)
-        self.norm = nn.LayerNorm([32, self.cells, self.cells])
-        self.queries, self.vector_width = 32, 0
 
     def raster(self, context: Context) -> Tensor:
-        """Binary crops (B, C, 224, 224), rows along x (behind first), columns along y; 0.5 where unknown."""
+        """Binary crops (B, C, P, P), rows along x (behind first), columns along y; 0.5 where unknown."""
         count = len(context)
         if context.maps is None:
             return torch.full((count, len(self.layers), self.pixels, self.pixels), 0.5)
@@ -180,6 +174,23 @@ class GridMapEncoder(nn.Module):
         inside = (context.maps.select(self.layers).sample(points, context.scene) < 0).float()
         inside = torch.where(context.map_known[:, None, None], inside, torch.tensor(0.5))
         return inside.transpose(1, 2).unflatten(2, (self.pixels, self.pixels))
+
+
+class GridMapEncoder(CropMapEncoder):
+    """The paper's encoder: a 224 px crop to a 56 x 56 x 32 feature grid (TRACE app. A.1.2)."""
+
+    def __init__(self, config: TraceConfig):
+        super().__init__(config)
+        self.backbone = ResNet18(len(self.layers))
+        self.deepest = nn.Conv2d(512, 512, 3, 1, 1)
+        self.up = nn.ModuleList([UpBlock(512, 256, 256), UpBlock(256, 128, 128), UpBlock(128, 64, 64)])
+        self.residual = nn.Sequential(
+            nn.Conv2d(64, 64, 1), nn.ReLU(), nn.Conv2d(64, 64, 3, 1, 1), nn.Conv2d(64, 64, 1)
+        )
+        self.head = nn.Conv2d(64, 32, 1)
+        cells = self.pixels // 4
+        self.norm = nn.LayerNorm([32, cells, cells])
+        self.queries, self.vector_width = 32, 0
 
     def encode(self, context: Context) -> MapFeatures:
         """The feature grid of every agent."""
@@ -194,12 +205,74 @@ class GridMapEncoder(nn.Module):
     def query(self, features: MapFeatures, positions: Tensor) -> Tensor:
         """Bilinear features at ego-frame positions (B, T, 2), clamped to the border, as (B, T, 32)."""
         assert features.grid is not None
-        side = self.pixels / self.per_metre
-        row = 2 * (positions[..., 0] + self.behind) / side - 1
-        column = 2 * positions[..., 1] / side
+        row = 2 * (positions[..., 0] + self.behind) / self.side - 1
+        column = 2 * positions[..., 1] / self.side
         where = torch.stack([column, row], -1)[:, None]
         values = F.grid_sample(features.grid, where, padding_mode="border", align_corners=False)
         return values[:, :, 0].transpose(1, 2)
 
 
-MAP_ENCODERS = {"distance": DistanceMapEncoder, "grid": GridMapEncoder}
+class GlobalMapEncoder(CropMapEncoder):
+    """An ablation: the crop through ResNet-18 to one vector, and no query (TRACE-Global, app. D.2)."""
+
+    queries, vector_width = 0, 128
+
+    def __init__(self, config: TraceConfig):
+        super().__init__(config)
+        self.backbone = ResNet18(self.channels(config))
+        self.head = nn.Linear(512, self.vector_width)
+
+    def channels(self, config: TraceConfig) -> int:
+        """Of the picture that the backbone sees."""
+        return len(config.map_layers)
+
+    def draw(self, context: Context) -> Tensor:
+        """(B, channels, P, P) of every agent."""
+        return self.raster(context)
+
+    def encode(self, context: Context) -> MapFeatures:
+        """The vector of every agent."""
+        vector = self.head(self.backbone(self.draw(context))[-1].mean((2, 3)))
+        return MapFeatures(vector, None, None, context.pose, context.scene, context.map_known)
+
+    def query(self, features: MapFeatures, positions: Tensor) -> Tensor:
+        """Nothing: (B, T, 0)."""
+        return positions.new_zeros(*positions.shape[:2], 0)
+
+
+class RasterMapEncoder(GlobalMapEncoder):
+    """An ablation: the past of everybody is drawn into the crop as well, a channel a frame (TRACE-Raster).
+
+    A channel is 1 in the agent's disc and -1 in those of its neighbours; no states are encoded beside it.
+    """
+
+    draws_people = True
+
+    def __init__(self, config: TraceConfig):
+        self.frames = slice((config.history - 1) % config.history_stride, None, config.history_stride)
+        super().__init__(config)
+
+    def channels(self, config: TraceConfig) -> int:
+        """The map's layers, and the frames of the past."""
+        return len(config.map_layers) + len(range(config.history)[self.frames])
+
+    def draw(self, context: Context) -> Tensor:
+        """(B, layers + frames, P, P) of every agent."""
+        people = torch.cat([context.neighbors, context.ego[:, None]], 1)[:, :, self.frames]
+        drawn = people.new_zeros(len(context), people.shape[2], len(self.crop))
+        for row in range(people.shape[1]):  # the agent comes last and lies on top
+            frames = people[:, row]  # (B, F, 8)
+            square = (self.crop - frames[:, :, None, :2]).square().sum(-1)
+            radius = frames[..., 5:7].amax(-1, keepdim=True) / 2
+            inside = (square < radius.square()) & (frames[..., 7:] > 0)
+            drawn = drawn.masked_fill(inside, 1.0 if row == people.shape[1] - 1 else -1.0)
+        size = (self.pixels, self.pixels)
+        return torch.cat([self.raster(context), drawn.unflatten(2, size)], 1)
+
+
+MAP_ENCODERS = {
+    "distance": DistanceMapEncoder,
+    "grid": GridMapEncoder,
+    "global": GlobalMapEncoder,
+    "raster": RasterMapEncoder,
+}

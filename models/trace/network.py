@@ -63,10 +63,12 @@ class ActionModel(nn.Module):
         self.config = config
         frames = len(range(0, config.history, config.history_stride))
         width = config.history_width
-        self.map_encoder = MAP_ENCODERS[config.map_encoder](config.map_layers)
-        self.ego = Mlp(8 * frames, config.history_hidden, width)
-        self.neighbor = Mlp(8 * frames, config.history_hidden, width)
-        joint = 2 * width + self.map_encoder.vector_width
+        self.map_encoder = MAP_ENCODERS[config.map_encoder](config)
+        joint = self.map_encoder.vector_width
+        if not self.map_encoder.draws_people:
+            self.ego = Mlp(8 * frames, config.history_hidden, width)
+            self.neighbor = Mlp(8 * frames, config.history_hidden, width)
+            joint += 2 * width
         self.joint = Mlp(joint, config.context_hidden, config.context_width)
         for name, size in (
             ("trajectory", 6),
@@ -77,11 +79,13 @@ class ActionModel(nn.Module):
 
     def encode(self, context: Context) -> Encoding:
         """Run the context encoders: once per plan."""
-        start = (self.config.history - 1) % self.config.history_stride  # so that the current frame is in
-        ego = self._normalize_history(context.ego[:, start :: self.config.history_stride])
-        neighbors = self._normalize_history(context.neighbors[:, :, start :: self.config.history_stride])
         map_features = self.map_encoder.encode(context)
-        joint = [self.ego(ego.flatten(1)), self._interaction(neighbors), map_features.vector]
+        joint = [map_features.vector]
+        if not self.map_encoder.draws_people:
+            start = (self.config.history - 1) % self.config.history_stride  # so that the current frame is in
+            ego = self._normalize_history(context.ego[:, start :: self.config.history_stride])
+            neighbors = self._normalize_history(context.neighbors[:, :, start :: self.config.history_stride])
+            joint = [self.ego(ego.flatten(1)), self._interaction(neighbors), *joint]
         condition = self.joint(torch.cat(joint, -1))
         crowd = context.neighbors[:, :, -1, [0, 1, 2, 3, 4, 7]]
         rows = context.rows if self.config.joint else None

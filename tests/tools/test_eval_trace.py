@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from footfall.models.trace.config import COMPACT
+from footfall.models.trace.config import COMPACT, CONFIGS
 from footfall.models.trace.crowd_file import pack_crowds
 from footfall.models.trace.evaluation import (
     Tally,
@@ -19,6 +19,7 @@ from footfall.models.trace.evaluation import (
 from footfall.models.trace.network import Trace
 from footfall.models.trace.orca_scenes import CrowdSpec, simulate_crowds
 from footfall.models.trace.planner import Sampling, TracePlanner
+from footfall.models.trace.weights import save_model
 from footfall.tools import eval_trace
 
 
@@ -92,6 +93,29 @@ def test_table_stands_beside_the_papers_figures(crowds, tmp_path, capsys):
     text = page.read_text()
     assert text.startswith("# Results\n\nkept\n") and text.count("begin trace-1") == 1
     assert "| waypoint | direct |" in text and "| all | direct |" not in text
+
+
+def test_ablations_stand_beside_ours(crowds, tmp_path, capsys, monkeypatch):
+    crowds.save(tmp_path / "maps.npz")
+    quick = Sampling(steps=2, samples=2)
+    monkeypatch.setattr(eval_trace, "FAITHFUL", quick)
+    monkeypatch.setattr(eval_trace, "SEVERAL", quick)
+    facts = {"step": 3, "drop": 0.05, "data": [{"name": "orca-maps", "scenes": 8}, {"name": "start"}]}
+    others = [tmp_path / "never_dropped.safetensors", tmp_path / "global.safetensors"]
+    save_model(others[0], Trace(COMPACT), facts)
+    save_model(others[1], Trace(CONFIGS["compact_global"]), facts)
+    data = ["--data", str(tmp_path / "maps.npz"), "--json", "--others", *map(str, others)]
+    assert run("--table", "6", *data) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    paper, (ours, other) = rows[:4], rows[4:]  # the global map belongs to table 5
+    assert {row["method"] for row in paper} == {"paper: TRACE"}
+    assert ours["drop"] == 0.1 and ours["data"].startswith("maps, ")
+    assert (other["data"], other["drop"], other["steps"]) == ("maps", 0.05, "3")
+    assert ours["ade"] < other["ade"]  # which was never trained
+    assert run("--table", "5", *data) == 0
+    rows = {row["method"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
+    assert rows["compact"]["ade"] < rows["compact_global"]["ade"]
+    assert rows["compact_global"]["steps"] == "3" and {"VAE", "paper: TRACE-Global"} <= rows.keys()
 
 
 def test_filtering_chooses_what_guided_sampling_would_count(crowds):

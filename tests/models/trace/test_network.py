@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from footfall.models.trace.config import COMPACT, PAPER, TraceConfig
+from footfall.models.trace.config import COMPACT, CONFIGS, PAPER, TraceConfig
 from footfall.models.trace.context import ego_context, scene_context, to_frame
 from footfall.models.trace.network import Trace, crowd_field, nearest_neighbors
 from footfall.models.trace.scene_map import SceneMaps
@@ -88,7 +88,27 @@ def test_paper_raster_looks_14_m_ahead_and_is_grey_where_unknown():
     assert torch.equal(raster[0, 0], 1 - raster[0, 1])
 
 
-@pytest.mark.parametrize("config", [COMPACT, PAPER], ids=lambda c: c.name)
+def test_raster_ablation_draws_the_past_of_everybody():
+    model = Trace(CONFIGS["compact_raster"]).eval()
+    states = torch.zeros(1, 31, 4)
+    states[..., 0] = 0.1 * torch.arange(-30, 1)
+    other = torch.zeros(1, 1, 31, 4)
+    other[..., 1] = 3.0
+    present = torch.ones(1, 1, 31, dtype=torch.bool)
+    present[..., :10] = False  # the neighbour came later
+    size = torch.full((1, 2), 0.8)
+    c = ego_context((states, torch.ones(1, 31, dtype=torch.bool), size), (other, present, size[:, None]))
+    drawn = model.map_encoder.draw(c)[0, 1:]  # seven frames, half a second apart, the last one is now
+    assert drawn.shape == (7, 56, 56)
+    metre = 56 / (56 / 3)
+    row, column = int(14 / 3 * metre), 28  # where the agent is now
+    assert drawn[-1, row, column] == drawn[0, row - 9, column] == 1.0
+    assert drawn[0, row, column] == 0.0
+    assert drawn[-1, row, column + 9] == -1.0 and (drawn[0] >= 0).all()
+    assert (drawn[-1] > 0).sum().item() == pytest.approx(torch.pi * (0.4 * metre) ** 2, abs=2)
+
+
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=lambda c: c.name)
 def test_prediction_does_not_depend_on_the_world_frame(config):
     model = Trace(config).eval()
     assert torch.allclose(run(model, without_map(context())), run(model, context(turn=0.7)), atol=2e-4)
