@@ -89,6 +89,7 @@ class Progress:
 
     step: int = 0
     minutes: float = 0.0
+    samples: int = 0
 
 
 class TrainingRun:
@@ -112,22 +113,23 @@ class TrainingRun:
         self.train = [CrowdWindows(s, "train", config, mirror=True) for s in sets]
         self.val = [CrowdWindows(s, "val", config, stride=4) for s in sets]
         fit_statistics(self.trace, self.train, torch.Generator().manual_seed(args.seed))
-        if args.init:
+        self.progress, self.before = Progress(), Progress()
+        state = self.folder / "state.safetensors"
+        if args.init and not state.is_file():
             self.begin_with(args.init)
         self.schedule = CosineSchedule(config.diffusion_steps)
         self.optimizer = torch.optim.AdamW(
             self.trace.parameters(), lr=args.rate, weight_decay=1e-4, fused=True
         )
         self.average = MovingAverage(self.trace)
-        self.progress = Progress()
         self.losses: list[float] = []
-        if (self.folder / "state.safetensors").is_file():
+        if state.is_file():
             self.resume()
         step = self.single_step(self.trace)
         self.model: nn.Module = nn.parallel.DistributedDataParallel(step) if world > 1 else step
 
     def begin_with(self, path: Path) -> None:
-        """Take over weights and statistics.
+        """Take over weights and statistics, and what they have behind them.
 
         Raises:
             WeightsError: When the file is missing, or of another configuration.
@@ -139,7 +141,8 @@ class TrainingRun:
             self.trace.load_state_dict(tensors)
         except RuntimeError as error:
             raise WeightsError(f"{path} holds another model than --model {self.args.model}") from error
-        self.sources.append({"name": "start", "step": facts.get("step"), "data": facts.get("data")})
+        self.before = Progress(*(facts.get(name, 0) for name in ("step", "minutes", "samples")))
+        self.sources.append({"name": "start", "step": self.before.step, "data": facts.get("data")})
 
     def rate(self) -> float:
         """Learning rate of the next step."""
@@ -179,6 +182,7 @@ class TrainingRun:
         self.optimizer.step()
         self.average.update(self.trace, self.progress.step)
         self.progress.step += 1
+        self.progress.samples += self.args.batch * self.world
         return float(loss.detach())
 
     def draw(
@@ -215,12 +219,12 @@ class TrainingRun:
         self.trace.train()
 
     def facts(self) -> dict:
-        """What the weights say about their making."""
-        args = self.args
+        """What the weights say about their making, that of those they began with included."""
+        args, now, before = self.args, self.progress, self.before
         return {
-            "step": self.progress.step,
-            "minutes": round(self.progress.minutes, 2),
-            "samples": self.progress.step * args.batch * self.world,
+            "step": before.step + now.step,
+            "minutes": round(before.minutes + now.minutes, 2),
+            "samples": before.samples + now.samples,
             "seed": args.seed,
             "rate": args.rate,
             "batch": args.batch * self.world,
@@ -239,9 +243,8 @@ class TrainingRun:
         for name, parameter in self.trace.named_parameters():
             for kind, value in self.optimizer.state[parameter].items():
                 tensors[f"adam.{kind}.{name}"] = value
-        save_tensors(
-            self.folder / "state.safetensors", tensors, {"progress": vars(self.progress), **self.facts()}
-        )
+        progress = {"progress": vars(self.progress), "before": vars(self.before)}
+        save_tensors(self.folder / "state.safetensors", tensors, {**progress, **self.facts()})
         with self.averaged():
             save_model(self.folder / "model.safetensors", self.trace, self.facts())
 
@@ -257,7 +260,8 @@ class TrainingRun:
         for name, parameter in self.trace.named_parameters():
             kinds = ("step", "exp_avg", "exp_avg_sq")
             self.optimizer.state[parameter] = {kind: parts["adam"][f"{kind}.{name}"] for kind in kinds}
-        self.progress = Progress(**facts["progress"])
+        self.progress, self.before = Progress(**facts["progress"]), Progress(**facts.get("before", {}))
+        self.sources += [source for source in facts["data"] if source["name"] == "start"]
 
     def log(self, losses: list[float]) -> None:
         """Append to `curve.csv`, redraw `curve.png`, and print a line with the time that is left."""
