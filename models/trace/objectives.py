@@ -12,6 +12,7 @@ and for a hundred. A new objective is one decorated function:
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from inspect import signature
 from typing import Any
 
 import torch
@@ -67,11 +68,15 @@ Loss = Callable[..., Tensor]
 
 @dataclass(frozen=True)
 class Kind:
-    """A registered objective: its loss, whether agents depend on each other through it, whether it is safety."""
+    """A registered objective: its loss, whether agents depend on each other through it, whether it is safety.
+
+    `buffered`: it is safety and its parameter `buffer` is room beyond touching.
+    """
 
     loss: Loss
     joint: bool
     safety: bool
+    buffered: bool
 
 
 OBJECTIVES: dict[str, Kind] = {}
@@ -88,7 +93,7 @@ def objective(name: str, joint: bool = False, safety: bool = False) -> Callable[
     """
 
     def register(loss: Loss) -> Loss:
-        OBJECTIVES[name] = Kind(loss, joint, safety)
+        OBJECTIVES[name] = Kind(loss, joint, safety, safety and "buffer" in signature(loss).parameters)
         return loss
 
     return register
@@ -131,6 +136,11 @@ class Objective:
     def safety(self) -> bool:
         """Whether it has the last word."""
         return OBJECTIVES[self.name].safety
+
+    @property
+    def buffered(self) -> bool:
+        """Whether it keeps a `buffer` beyond touching, without which it is about touching alone."""
+        return OBJECTIVES[self.name].buffered
 
     @property
     def share(self) -> Tensor:

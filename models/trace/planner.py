@@ -19,7 +19,9 @@ from .guidance import (
     choose_samples,
     gradient_of,
     guide_direct,
+    harm,
     labelled,
+    reconsider,
     total_loss,
 )
 from .network import Encoding, Trace
@@ -193,12 +195,16 @@ class TracePlanner:
         future, losses = _judge(actions, future_of, objectives)
         chosen = choose_samples(losses, objectives) if objectives else torch.zeros_like(rows)
         if objectives and self.polishes:
-            best = self._polish(actions[rows, chosen][:, None], context, future_of, objectives)
+            chosen = reconsider(chosen, losses, objectives, future, SAFE)
+            before = actions[rows, chosen][:, None]
+            best = self._polish(before, context, future_of, objectives)
+            best = _where_no_worse(best, before, future_of, objectives)
             actions[rows, chosen] = best[:, 0]
             better, best_losses = _judge(best, future_of, objectives)
             future.states[rows, chosen] = better.states[:, 0]
             for label, loss in best_losses.items():
                 losses[label][rows, chosen] = loss[:, 0]
+            chosen = reconsider(chosen, losses, objectives, future, SAFE)
         states = future.states.double().numpy()
         return TraceFutures(
             positions=states[..., :2],
@@ -350,6 +356,20 @@ def _judge(
     with torch.no_grad():
         future = future_of(actions)
         return future, {label: wish.loss(future) for label, wish in labelled(objectives)}
+
+
+def _where_no_worse(
+    best: Tensor, before: Tensor, future_of: FutureOf, objectives: Sequence[Objective]
+) -> Tensor:
+    """The polished actions (A, 1, horizon, 2), but as before where polishing would do harm to somebody."""
+    bound = harm(objectives, future_of(before)) + SAFE
+    kept = torch.ones_like(bound, dtype=torch.bool)
+    while True:
+        mixed = torch.where(kept[..., None, None], best, before)
+        worse = kept & (harm(objectives, future_of(mixed)) > bound)
+        if not worse.any():
+            return mixed
+        kept &= ~worse
 
 
 def check_goals(objectives: Sequence[Objective], maps: SceneMaps) -> None:

@@ -2,8 +2,16 @@ import pytest
 import torch
 
 from footfall.models.trace.dynamics import rollout
-from footfall.models.trace.guidance import Guidance, GuidanceError, choose_samples, guide_direct
+from footfall.models.trace.guidance import (
+    Guidance,
+    GuidanceError,
+    choose_samples,
+    guide_direct,
+    harm,
+    reconsider,
+)
 from footfall.models.trace.objectives import Future, Objective
+from footfall.models.trace.scene_map import SceneMaps
 
 NOW = torch.tensor([[0.0, 0.0, 0.0, 1.2]])
 
@@ -92,6 +100,56 @@ def test_filtering_is_per_agent_or_per_scene():
     weighted = [alone, Objective("agent_avoid", weight=2.0)]
     crash = {"waypoint": loss, "agent_avoid": torch.tensor([[1.0, 0.0, 0.0]] * 2)}
     assert choose_samples(crash, weighted).tolist() == [2, 2]
+
+
+def standing(*samples):
+    """People who stand where each sample (A, 2) says."""
+    where = torch.tensor(samples).transpose(0, 1)  # (A, M, 2)
+    states = torch.nn.functional.pad(where, (0, 2))[:, :, None].repeat(1, 1, 50, 1)
+    return Future(states, states[:, 0, 0], torch.full((len(where),), 0.4))
+
+
+def test_harm_is_what_overlaps_without_the_room_and_soon():
+    wishes = [Objective("agent_avoid", {"buffer": 0.5}), Objective("waypoint", {"goal": torch.zeros(2)})]
+    close, touching = [[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.0], [0.6, 0.0]]
+    future = standing(close, touching)
+    now, later = harm(wishes, future)[0].tolist(), future.states.clone()
+    assert now == pytest.approx([0.0, (50 + 9 * 15) * 0.25])  # a quarter of the two radii
+    later[:, :, :25] += torch.tensor([[0.0], [5.0]])[..., None, None]
+    apart_at_first = Future(later, future.now, future.radius)
+    assert harm(wishes, apart_at_first)[1].tolist() == pytest.approx([0.0, 25 * 0.25])
+    off = [Objective("agent_avoid", {"buffer": 0.5}, weight=0.0)]
+    assert harm(off, future).sum() == 0  # nobody asked
+
+
+def test_who_would_come_to_harm_takes_another_sample_than_the_others():
+    first = [[0.0, 0.0], [0.5, 0.0], [9.0, 0.0]]  # the second is in the first
+    second = [[0.0, 0.0], [0.0, 3.0], [0.5, 0.0]]  # the third is
+    future, wishes = standing(first, second), [Objective("agent_avoid", {"buffer": 0.0})]
+    losses = {"agent_avoid": wishes[0].loss(future)}
+    chosen = choose_samples(losses, wishes)
+    again = reconsider(chosen, losses, wishes, future, 1e-3)
+    states = future.states[torch.arange(3), again][:, None]
+    assert harm(wishes, future)[:, chosen[0]].sum() > 0
+    assert harm(wishes, Future(states, future.now, future.radius)).sum() == 0
+
+
+@pytest.mark.parametrize(("side", "around"), [(0.0, False), (0.2, True), (0.3, True)])
+def test_a_way_through_a_pillar_leads_around_it_or_ends_before_it(side, around):
+    pillar = torch.zeros(100, 100, dtype=torch.bool)
+    pillar[48:53, 53:57] = True
+    maps = SceneMaps.from_raster({"obstacle": pillar.numpy()}, 0.1, (-2.7, side - 5.0))
+
+    def through(actions):
+        return Future(rollout(NOW[:, None], actions, 0.1), NOW, torch.full((1,), 0.3), maps=maps)
+
+    wish, straight = Objective("obstacle_avoid"), torch.zeros(1, 1, 50, 2)
+    assert harm([wish], through(straight)).item() > 1.0
+    bent = guide_direct(straight, through, [wish], Guidance(inner_steps=6), torch.tensor(0.0), careful=True)
+    future = through(bent)
+    assert harm([wish], future).item() < 0.01
+    assert future.states[..., 3].max() < 1.6  # at first 1.2 m/s: nobody races through
+    assert (future.positions[0, 0, -1, 0] > 4.0) == around
 
 
 @pytest.mark.parametrize("bad", [{"strength": -1.0}, {"inner_steps": 0}, {"mode": "dirty"}, {"limit": 0.0}])
