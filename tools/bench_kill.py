@@ -5,7 +5,7 @@ import json
 import signal
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import monotonic, sleep
@@ -19,6 +19,8 @@ STOP_LIMIT = 3.0
 """From the death of a required node, or of the launcher, until nothing is left [s]."""
 BACK_LIMIT = 2.0
 """From the death of a restartable node to the first step of its next life [s]."""
+SETTINGS = ("planner=orca",)
+"""Of the crossing: a planner with a network takes longer to be back than `BACK_LIMIT` for its imports alone."""
 LOG_LIMIT = 1.2
 """What a killed recorder's log may lack: it is written once a second, and not on the dot [s]."""
 
@@ -29,6 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "name", nargs="?", default="crossing", help="launch file or scene (default: crossing)"
     )
     parser.add_argument("--mode", choices=("realtime", "free", "lockstep"), default="realtime")
+    parser.add_argument(
+        "--set",
+        action="append",
+        metavar="KEY=VALUE",
+        help=f"as of `launch` (of the crossing: {' '.join(SETTINGS)})",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--write", type=Path, metavar="FILE", help="put the table into this Markdown file")
 
@@ -55,7 +63,8 @@ class Row:
 def run(args: argparse.Namespace) -> int:
     """Kill, one after the other; 1 if anything did not end as it should."""
     rows = []
-    for row in kills(args.name, args.mode):
+    settings = args.set or (SETTINGS if args.name == "crossing" else ())
+    for row in kills(args.name, args.mode, settings):
         rows.append(row)
         print(f"{row.killed}, {row.when}: {row.happened}, {row.seconds:.2f} s", file=sys.stderr, flush=True)
     met = all(row.met for row in rows)
@@ -64,7 +73,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(markdown(rows))
     if args.write:
-        title = f"### SIGKILL of every process (`footfall bench kill {args.name} --mode {args.mode}`)"
+        command = " ".join([f"footfall bench kill {args.name} --mode {args.mode}", *_words(settings)])
+        title = f"### SIGKILL of every process (`{command}`)"
         write_section(args.write, f"kill-{args.mode}", f"{title}\n\n{markdown(rows)}")
     return 0 if met else 1
 
@@ -76,29 +86,40 @@ def markdown(rows: list[Row]) -> str:
     return table(head, cells)
 
 
-def kills(name: str, mode: str) -> Iterator[Row]:
-    """Kill every node of a graph, then the recorder, the launcher and its watchdog."""
-    with Launched(name, mode) as victim:
+def _words(settings: Sequence[str]) -> list[str]:
+    return [word for setting in settings for word in ("--set", setting)]
+
+
+def kills(name: str, mode: str, settings: Sequence[str] = ()) -> Iterator[Row]:
+    """Kill every node of a graph, then the recorder, the launcher and its watchdog.
+
+    Args:
+        name: Launch file or scene.
+        mode: How time passes.
+        settings: KEY=VALUE, as of `launch --set`.
+    """
+    given = _words(settings)
+    with Launched(name, mode, arguments=given) as victim:
         nodes = [node.name for node in victim.graph.nodes if node.name != LAUNCHER]
         owner = next(node.name for node in victim.graph.nodes if CLOCK.name in node.outputs)
         yield _required(victim, nodes[0])
     for node in nodes[1:]:
-        with Launched(name, mode) as victim:
+        with Launched(name, mode, arguments=given) as victim:
             yield _required(victim, node)
     restartable = [node for node in nodes if node != owner]
-    with Launched(name, mode, restart=restartable) as victim:
+    with Launched(name, mode, restart=restartable, arguments=given) as victim:
         for node in restartable:
             yield restart(victim, node)
     with tempfile.TemporaryDirectory(prefix="ffkill-") as folder:
         log = Path(folder) / "run.mcap"
-        with Launched(name, mode, arguments=["--record", str(log)]) as victim:
+        with Launched(name, mode, arguments=[*given, "--record", str(log)]) as victim:
             yield _recorder(victim, log)
-    with Launched(name, mode, begin=False) as victim:
+    with Launched(name, mode, begin=False, arguments=given) as victim:
         victim.wait_for("--node")
         yield _launcher(victim, "nodes are importing")
-    with Launched(name, mode) as victim:
+    with Launched(name, mode, arguments=given) as victim:
         yield _launcher(victim, "mid-run")
-    with Launched(name, mode) as victim:
+    with Launched(name, mode, arguments=given) as victim:
         yield _watchdog(victim)
 
 

@@ -191,18 +191,31 @@ def reconsider(
         (A,) sample numbers.
     """
     rows, chosen = torch.arange(len(chosen)), chosen.clone()
-    alone = torch.zeros(future.states.shape[:2])
+    together = [wish for wish in objectives if wish.joint]
+    own_harm = harm([wish for wish in objectives if not wish.joint], future)
+    alone = _HARM * own_harm
     for label, wish in labelled(objectives):
         alone = alone if wish.joint else alone + wish.share * losses[label]
-    together = [wish for wish in objectives if wish.joint]
-    risk = harm(objectives, replace(future, states=future.states[rows, chosen][:, None]))[:, 0]
-    for row in risk.argsort(descending=True)[: int((risk > met).sum())].tolist():
-        states = future.states[rows, chosen][:, None].repeat(1, future.states.shape[1], 1, 1)
-        states[row] = future.states[row]
+
+    def seen_together(states: Tensor) -> tuple[Tensor, Tensor]:
+        """Joint losses of all, (M,), and the harm that people do each other, (A, M)."""
         mixed = replace(future, states=states)
-        total = alone[row] + sum((wish.share * wish.loss(mixed)).sum(0) for wish in together)
-        chosen[row] = (total + _HARM * harm(objectives, mixed).sum(0)).argmin()
-    return chosen
+        mutual = harm(together, mixed)
+        wishes = torch.zeros(mutual.shape[1]) + sum((w.share * w.loss(mixed)).sum(0) for w in together)
+        return wishes + _HARM * mutual.sum(0), mutual
+
+    kept = future.states[rows, chosen][:, None]  # (A, 1, T, 4)
+    mutual, settled = seen_together(kept)[1][:, 0], torch.zeros(len(rows), dtype=torch.bool)
+    while True:
+        risk = (own_harm[rows, chosen] + mutual).masked_fill(settled, 0.0)
+        row = int(risk.argmax())
+        if not risk[row] > met:
+            return chosen
+        states = kept.repeat(1, future.states.shape[1], 1, 1)
+        states[row] = future.states[row]
+        joint, each = seen_together(states)
+        chosen[row] = best = int((alone[row] + joint).argmin())
+        kept[row, 0], mutual, settled[row] = future.states[row, best], each[:, best], True
 
 
 def labelled(objectives: Sequence[Objective]) -> list[tuple[str, Objective]]:

@@ -54,9 +54,9 @@ def agent_avoid(future: Future, buffer: Tensor | float = 0.2) -> Tensor:
 def obstacle_avoid(future: Future, buffer: Tensor | float = 0.0) -> Tensor:
     """Depth [m] of each disc inside obstacles times its speed [m/s] (plus `_AT_REST`), summed over time.
 
-    As an integral over the way it pays nobody for racing through; and of its gradient only `_AHEAD` of the part
-    along the motion is left: of a way through a narrow obstacle the first half would go slower, the second half
-    faster, and little would lead around it (after Ratliff et al. 2009, CHOMP, eq for the gradient of f_obs).
+    As an integral over the way (Ratliff et al. 2009, CHOMP) it pays nobody for racing through. Its gradient leads
+    around rather than back: speeds are held, and of the part along the motion `_AHEAD` is left. Of a way through a
+    narrow obstacle the first half would else go slower, the second half faster, and little would lead around it.
 
     Args:
         future: Of one scene.
@@ -64,7 +64,7 @@ def obstacle_avoid(future: Future, buffer: Tensor | float = 0.0) -> Tensor:
     """
     distance, given = per_agent(buffer, len(future.states))
     reach = (future.radius[:, None] + distance)[..., None]
-    heading, speed = future.states[..., 2].detach(), future.states[..., 3]
+    heading, speed = future.states[..., 2:].detach().unbind(-1)
     forward = torch.stack([heading.cos(), heading.sin()], -1)
     here = future.positions.detach()
     moves = future.positions - here  # zero, but for its gradient

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from footfall.tools.bench_kill import kills, restart
+from footfall.tools.bench_kill import SETTINGS, kills, restart
 from footfall.tools.launched import Launched
 
 pytestmark = pytest.mark.slow
@@ -16,7 +16,7 @@ def patience() -> float:
 
 
 def test_every_process_of_the_crossing() -> None:
-    rows = list(kills("crossing", "realtime"))
+    rows = list(kills("crossing", "realtime", SETTINGS))
     assert [row for row in rows if not row.right] == []
     assert [row for row in rows if row.seconds > row.limit * patience()] == []
     assert {row.killed for row in rows} >= {"map_server", "director", "simulator", "planner", "controller"}
@@ -25,6 +25,6 @@ def test_every_process_of_the_crossing() -> None:
 
 def test_nodes_come_back_in_lockstep() -> None:
     nodes = ["map_server", "director", "planner", "controller", "referee"]
-    with Launched("crossing", "lockstep", nodes) as victim:
+    with Launched("crossing", "lockstep", nodes, arguments=["--set", *SETTINGS]) as victim:
         rows = [restart(victim, node) for node in nodes]
     assert [row for row in rows if not row.right] == []

@@ -134,8 +134,8 @@ def test_who_would_come_to_harm_takes_another_sample_than_the_others():
     assert harm(wishes, Future(states, future.now, future.radius)).sum() == 0
 
 
-@pytest.mark.parametrize(("side", "around"), [(0.0, False), (0.2, True), (0.3, True)])
-def test_a_way_through_a_pillar_leads_around_it_or_ends_before_it(side, around):
+@pytest.mark.parametrize("side", [-0.3, -0.2, 0.2, 0.3])
+def test_a_way_through_a_pillar_leads_around_it(side):
     pillar = torch.zeros(100, 100, dtype=torch.bool)
     pillar[48:53, 53:57] = True
     maps = SceneMaps.from_raster({"obstacle": pillar.numpy()}, 0.1, (-2.7, side - 5.0))
@@ -148,8 +148,8 @@ def test_a_way_through_a_pillar_leads_around_it_or_ends_before_it(side, around):
     bent = guide_direct(straight, through, [wish], Guidance(inner_steps=6), torch.tensor(0.0), careful=True)
     future = through(bent)
     assert harm([wish], future).item() < 0.01
+    assert (future.positions[0, 0, -1, 1] * side < 0) and future.positions[0, 0, -1, 0] > 4.0
     assert future.states[..., 3].max() < 1.6  # at first 1.2 m/s: nobody races through
-    assert (future.positions[0, 0, -1, 0] > 4.0) == around
 
 
 @pytest.mark.parametrize("bad", [{"strength": -1.0}, {"inner_steps": 0}, {"mode": "dirty"}, {"limit": 0.0}])

@@ -140,3 +140,16 @@ def test_bad_input_is_named(trace):
         Sampling(solver=cast(Any, "euler")).make_solver(CosineSchedule())
     with pytest.raises(ValueError, match="1 to 100 steps"):
         TracePlanner(trace, Sampling(steps=200)).plan(states, size)
+
+
+def test_polishing_that_does_harm_is_taken_back(trace, monkeypatch):
+    states, size = crowd(2)
+    states[1, :, 0] = 8.0 - states[1, :, 0]  # they walk towards each other, half a metre beside the line
+    states[1, :, 1], states[1, :, 2] = 0.5, np.pi
+    monkeypatch.setattr(TracePlanner, "_polish", lambda self, best, *_: torch.zeros_like(best))  # straight on
+    planner = TracePlanner(trace, Sampling(samples=4))
+    straight = planner.world_states(torch.zeros(2, 1, 52, 2), torch.as_tensor(states[:, -1]).float())[:, 0]
+    assert (straight[0, :, :2] - straight[1, :, :2]).norm(dim=-1).min() < 0.75  # they would touch
+    plan = planner.plan(states, size, objectives=[Objective("agent_avoid")])
+    paths = plan.positions[np.arange(2), plan.chosen]
+    assert np.linalg.norm(paths[0] - paths[1], axis=-1).min() > 0.79
