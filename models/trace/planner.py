@@ -195,7 +195,6 @@ class TracePlanner:
         future, losses = _judge(actions, future_of, objectives)
         chosen = choose_samples(losses, objectives) if objectives else torch.zeros_like(rows)
         if objectives and self.polishes:
-            chosen = reconsider(chosen, losses, objectives, future, SAFE)
             before = actions[rows, chosen][:, None]
             best = self._polish(before, context, future_of, objectives)
             best = _where_no_worse(best, before, future_of, objectives)
