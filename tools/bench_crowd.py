@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..messages.config import ConfigError
+from .launched import set_words
 from .results import table, write_section
 
 SPACE = 3.0
@@ -80,7 +81,7 @@ def measure(count: int, args: argparse.Namespace) -> dict[str, Any]:
             "--json",
             "--quiet",
         ]
-        words += [word for setting in settings for word in ("--set", setting)]
+        words += set_words(settings)
         done = subprocess.run(
             [sys.executable, "-m", "footfall.tools.cli", *words], capture_output=True, text=True
         )

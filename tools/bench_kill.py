@@ -12,7 +12,7 @@ from time import monotonic, sleep
 
 from ..messages.graph import LAUNCHER
 from ..messages.topics import CLOCK
-from .launched import Launched
+from .launched import Launched, set_words
 from .results import table, write_section
 
 STOP_LIMIT = 3.0
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(markdown(rows))
     if args.write:
-        command = " ".join([f"footfall bench kill {args.name} --mode {args.mode}", *_words(settings)])
+        command = " ".join([f"footfall bench kill {args.name} --mode {args.mode}", *set_words(settings)])
         title = f"### SIGKILL of every process (`{command}`)"
         write_section(args.write, f"kill-{args.mode}", f"{title}\n\n{markdown(rows)}")
     return 0 if met else 1
@@ -86,10 +86,6 @@ def markdown(rows: list[Row]) -> str:
     return table(head, cells)
 
 
-def _words(settings: Sequence[str]) -> list[str]:
-    return [word for setting in settings for word in ("--set", setting)]
-
-
 def kills(name: str, mode: str, settings: Sequence[str] = ()) -> Iterator[Row]:
     """Kill every node of a graph, then the recorder, the launcher and its watchdog.
 
@@ -98,7 +94,7 @@ def kills(name: str, mode: str, settings: Sequence[str] = ()) -> Iterator[Row]:
         mode: How time passes.
         settings: KEY=VALUE, as of `launch --set`.
     """
-    given = _words(settings)
+    given = set_words(settings)
     with Launched(name, mode, arguments=given) as victim:
         nodes = [node.name for node in victim.graph.nodes if node.name != LAUNCHER]
         owner = next(node.name for node in victim.graph.nodes if CLOCK.name in node.outputs)

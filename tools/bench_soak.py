@@ -18,7 +18,7 @@ from ..messages.bus import take
 from ..messages.diagnostics import Diagnostics
 from ..messages.graph import LAUNCHER, Graph, edges
 from ..messages.topics import CLOCK, DIAGNOSTICS
-from .launched import Launched
+from .launched import Launched, set_words
 from .results import table, write_section
 
 WARM_UP = 1 / 3
@@ -83,7 +83,7 @@ class Soak:
 
 def run(args: argparse.Namespace) -> int:
     """Watch a graph; 1 if memory grows, a process fails or something is lost."""
-    settings = [word for setting in args.set for word in ("--set", setting)]
+    settings = set_words(args.set)
     recording = ["--record", str(args.record)] if args.record else []
     arguments = [*settings, *recording]
     with Launched(args.name, args.mode, topics=[DIAGNOSTICS.name], arguments=arguments) as launched:

@@ -250,7 +250,7 @@ def table_5(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
         f"{name}, {SEVERAL.solver} {SEVERAL.steps}": TracePlanner(trace, SEVERAL),
         f"{name}, neighbours at constant velocity": TracePlanner(apart.eval(), FAITHFUL),
     }
-    steps = {method: load_model(args.weights)[1].get("step") for method in planners}
+    steps = dict.fromkeys(planners, load_model(args.weights)[1].get("step"))
     for path in args.others:
         other, facts = load_model(path)
         planners[other.config.name] = TracePlanner(other, FAITHFUL)

@@ -26,6 +26,11 @@ PATIENCE = 60.0
 MARK = "FOOTFALL_BENCH_MARK"
 
 
+def set_words(settings: Sequence[str]) -> list[str]:
+    """The words of a command line that hand KEY=VALUE settings to `footfall launch`."""
+    return [word for setting in settings for word in ("--set", setting)]
+
+
 class Launched:
     """One run of a graph as a process of its own, known by a mark in its environment.
 

@@ -75,9 +75,9 @@ class Guidance:
 
 
 _LEAST_PACE = 0.2  # careful steps shorter than this share of a whole one are not worth taking
-_HARM = 100.0  # weight of what overlaps for real when a sample is chosen anew
-_SOON = 1.5  # s
 _GAIN = 0.9  # of a loss: a careful step that leaves more is the last one of its length
+_HARM = 100.0  # weight of what overlaps for real when a sample is chosen anew
+_SOON = 1.5  # s, in which harm counts ten times
 
 FutureOf = Callable[[Tensor], Future]
 
