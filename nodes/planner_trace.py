@@ -30,6 +30,8 @@ CLEARANCE = 0.4
 """Ways keep so far from obstacles [m]."""
 GUIDANCE_STEPS = 2
 """Per denoising step: wishes here lead far from what people would do by themselves, as round a wall."""
+POWER = 1.0
+"""Of the strides: longer ones at the end would leave such wishes half met."""
 STILL = 0.25
 """Who moves no further than this, for `STANDS` at least, stands [m]."""
 STANDS = 1.0
@@ -71,7 +73,7 @@ class TraceMethod:
         torch.set_num_threads(threads)
         for name in modules:
             load_objectives(name)
-        sampling = Sampling(steps=steps, samples=samples, context_weight=context_weight)
+        sampling = Sampling(steps=steps, power=POWER, samples=samples, context_weight=context_weight)
         try:
             self._planner = TracePlanner.load(
                 Path(weights) if weights else WEIGHTS,

@@ -88,7 +88,7 @@ def measure(
             figures["plan_ms"][str(count)], figures["plan_cpu_ms"][str(count)] = round(wall, 1), round(cpu, 1)
         figures["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
         if scenes:
-            slow = replace(sampling, solver="ddpm", reduced=False)
+            slow = replace(sampling, solver="ddpm", temperature=1.0, reduced=False)
             paper = TracePlanner(trace, slow, Guidance(mode="clean", polish=0))
             figures |= compare(ours, paper, scenes)
     finally:

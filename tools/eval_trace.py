@@ -30,17 +30,17 @@ from ..models.trace.weights import load_model
 from . import eval_trace_closed_loop as closed_loop
 from . import eval_trace_paper as paper
 from .eval_trace_paper import Row
-from .eval_trace_pictures import draw_guides, draw_samples
+from .eval_trace_pictures import draw_guides, draw_samplers, draw_samples, draw_weights
 from .results import write_section
 
 QUICK_SCENES = 4
 WORKERS = os.cpu_count() or 1
-UNGUIDED = Sampling(solver="ddpm", samples=3, context_weight=0.5)
+UNGUIDED = Sampling(solver="ddpm", samples=3, context_weight=0.5, temperature=1.0)
 """As the paper's: the unguided row of its table 1 is that of w = 0.5 in its table 7."""
 FEW_STEPS = Sampling(samples=3)
 SEVERAL = Sampling(samples=20)
-SLOW = Sampling(solver="ddim", steps=20, samples=20)
-FAITHFUL = Sampling(solver="sde", steps=20, samples=20, context_weight=0.5)
+SLOW = Sampling(solver="ddim", steps=20, samples=20, temperature=1.0)
+FAITHFUL = Sampling(solver="sde", steps=20, samples=20, context_weight=0.5, temperature=1.0)
 """Of tables 5 and 6: 20 samples of all 100 steps would take a quarter of an hour a row."""
 METHODS: dict[str, tuple[Sampling, Guidance]] = {
     "noisy": (SLOW, Guidance(mode="noisy")),
@@ -56,7 +56,7 @@ SAMPLERS: list[tuple[str, int]] = [
     ("ddpm", 100),
     ("sde", 20),
     *(("ddim", steps) for steps in (4, 6, 8, 12, 20)),
-    *(("dpm", steps) for steps in (4, 6, 8, 12, 20)),
+    *(("dpm", steps) for steps in (3, 4, 5, 6, 8, 12, 20)),
 ]
 WEIGHTS_OF_CONTEXT = (0.0, 0.3, 0.5, 0.7, 1.0, 2.0)
 
@@ -123,7 +123,10 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--write", type=Path, metavar="FILE", help="put the table into this Markdown file")
     parser.add_argument(
-        "--pictures", type=Path, metavar="FOLDER", help="draw samples like figures 4 and 12, no table"
+        "--pictures",
+        type=Path,
+        metavar="FOLDER",
+        help="draw figures 4, 12, 13 instead of a table, 5 instead of table 2, and the curve of the samplers",
     )
     closed_loop.add_arguments(parser)
     parser.set_defaults(run=run)
@@ -135,6 +138,9 @@ def run(args: argparse.Namespace) -> int:
         trace, facts = load_model(args.weights)
         if args.table in closed_loop.TABLES:
             trials = closed_loop.read_trials(args, trace.config)
+            if args.pictures:
+                print(closed_loop.picture(trace, trials, args))
+                return 0
             source = f"{trace.config.name}, step {facts.get('step')}; {len(trials)} {args.split} rollouts"
             show(args, closed_loop.TABLES[args.table](trace, trials, args), source, f"trace-{args.table}")
             return 0
@@ -144,20 +150,29 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
-    if args.pictures:
-        planner = TracePlanner(trace, *METHODS["direct"])
-        for path in (draw_guides(args.pictures, planner, scenes), draw_samples(args.pictures, trace, scenes)):
+    if args.pictures and args.table != "samplers":
+        for path in pictures(trace, scenes, args):
             print(path)
         return 0
     area = crowds.source.get("area", 15.0)
     source = f"{trace.config.name}, step {facts.get('step')}; {len(scenes)} {args.split} scenes of {area:g} m"
     section = f"trace-{args.table}" + ("" if area == 15 else f"-{area:g}m")
-    show(args, TABLES[args.table](trace, scenes, args), source, section)
+    rows = show(args, TABLES[args.table](trace, scenes, args), source, section)
+    if args.pictures:
+        print(draw_samplers(args.pictures, rows))
     return 0
 
 
-def show(args: argparse.Namespace, found: Iterator[Row], source: str, section: str) -> None:
-    """Print rows as they come, then the whole table, and write it if asked."""
+def pictures(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Path]:
+    """Figures 4, 12 and 13, one after the other."""
+    yield draw_guides(args.pictures, TracePlanner(trace, *METHODS["direct"]), scenes)
+    others = {model.config.name: model for model, _ in map(load_model, args.others)}
+    yield draw_samples(args.pictures, trace, scenes, others)
+    yield draw_weights(args.pictures, trace, scenes, (0.0, 1.0, 4.0))
+
+
+def show(args: argparse.Namespace, found: Iterator[Row], source: str, section: str) -> list[Row]:
+    """Print rows as they come, then the whole table, write it if asked, and return its rows."""
     rows = []
     for row in found:
         rows.append(row)
@@ -169,6 +184,7 @@ def show(args: argparse.Namespace, found: Iterator[Row], source: str, section: s
         print(text)
     if args.write:
         write_section(args.write, section, text)
+    return rows
 
 
 def metrics(report: Report) -> Row:
@@ -259,7 +275,7 @@ def table_5(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
         vae, facts = load_vae()
         planners["VAE"], steps["VAE"] = VaePlanner(vae, 20), facts.get("step")
     for method, planner in planners.items():
-        yield {"method": method, "steps": count(steps[method]), **nearest_to_truth(scenes, planner)}
+        yield {"method": method, "steps": steps[method], **nearest_to_truth(scenes, planner)}
 
 
 def table_6(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
@@ -272,12 +288,7 @@ def table_6(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
         names = [source["name"] for source in facts["data"] if "scenes" in source]
         labels = {"data": ", ".join(n.removeprefix("orca-") for n in names), "drop": facts["drop"]}
         row = nearest_to_truth(scenes, TracePlanner(model, FAITHFUL))
-        yield {"method": trace.config.name, **labels, "steps": count(facts["step"]), **row}
-
-
-def count(number: int | None) -> str | None:
-    """A whole number in a table."""
-    return None if number is None else str(number)
+        yield {"method": trace.config.name, **labels, "steps": facts["step"], **row}
 
 
 def table_7(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
@@ -297,7 +308,9 @@ def table_samplers(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) 
     reference = None
     for solver, steps in SAMPLERS:
         for guide in ("none", "all"):
-            sampling = Sampling(solver=solver, steps=steps, samples=3 if guide == "none" else 20)  # pyright: ignore[reportArgumentType]
+            shipped = FEW_STEPS if guide == "none" else SEVERAL
+            warm = shipped.temperature if solver == shipped.solver else 1.0
+            sampling = dataclasses.replace(shipped, solver=solver, steps=steps, temperature=warm)  # pyright: ignore[reportArgumentType]
             planner = TracePlanner(trace, sampling, Guidance(mode="direct"))
             choice = "every" if guide == "none" else "guide"
             report = evaluate_all(scenes, planner, GUIDES[guide], choice)
@@ -314,7 +327,7 @@ TABLES = {"1": table_1, "5": table_5, "6": table_6, "7": table_7, "samplers": ta
 def markdown_row(table: str, row: Row) -> str:
     """One line of a Markdown table."""
     values = [row.get(key) for key in COLUMNS[table]]
-    cells = ["" if v is None else v if isinstance(v, str) else f"{v:.3f}" for v in values]
+    cells = ["" if v is None else f"{v:.3f}" if isinstance(v, float) else str(v) for v in values]
     return f"| {' | '.join(cells)} |"
 
 

@@ -19,6 +19,7 @@ from ..models.trace.vae import WEIGHTS as VAE_WEIGHTS
 from ..models.trace.vae import VaePlanner, load_vae
 from . import eval_trace_paper as paper
 from .eval_trace_paper import Row
+from .eval_trace_pictures import draw_rollouts
 
 FOLDS = ("eth", "hotel", "zara1", "zara2")  # those with maps
 QUICK_ROLLOUTS = 4
@@ -28,8 +29,8 @@ STRENGTH = {"waypoint": 0.2, "perturbed": 0.2, "groups": 1.0}
 """Of guidance: waypoints gently, as a second later there is another plan (chosen on validation scenes)."""
 METHODS: dict[str, tuple[Sampling, Guidance]] = {
     "filter": (Sampling(steps=8, samples=SAMPLES), Guidance(strength=0.0, inner_steps=1, polish=0)),
-    "noisy": (Sampling(solver="ddim", steps=20, samples=SAMPLES), Guidance(mode="noisy")),
-    "clean": (Sampling(solver="ddim", steps=20, samples=SAMPLES), Guidance(mode="clean")),
+    "noisy": (Sampling(solver="ddim", steps=20, samples=SAMPLES, temperature=1.0), Guidance(mode="noisy")),
+    "clean": (Sampling(solver="ddim", steps=20, samples=SAMPLES, temperature=1.0), Guidance(mode="clean")),
     "direct": (Sampling(steps=8, samples=SAMPLES), Guidance(mode="direct", inner_steps=1, polish=0)),
 }
 """As in the other tables, with fewer samples and steps of guidance."""
@@ -137,6 +138,15 @@ def table_8(trace: Trace, trials: Sequence[Rollout], args: argparse.Namespace) -
         )
         report = evaluate_loop(planner, trials, "perturbed", clock=time.process_time)
         yield {"w": row["w"], "method": "direct", "config": trace.config.name, **figures(report)}
+
+
+def picture(trace: Trace, trials: Sequence[Rollout], args: argparse.Namespace) -> Path:
+    """Perturbed waypoints with w = 0 and -0.5, and groups."""
+    shown: dict[str, tuple[str, TracePlanner]] = {}
+    for guide, title in (("perturbed", "perturbed waypoints"), ("groups", "groups")):
+        for weight, planner in planners(trace, "direct", guide, args):
+            shown[f"{title}, w = {weight:g}"] = guide, planner
+    return draw_rollouts(args.pictures, shown, trials)
 
 
 TABLES = {"2": table_2, "8": table_8}

@@ -1,6 +1,6 @@
-"""Pictures of sampled futures, like figures 4 and 12 of Rempe et al. 2023."""
+"""Pictures of sampled futures, like figures 4, 5, 12 and 13 of Rempe et al. 2023, and the curve of the samplers."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -13,9 +13,13 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from ..models.crowd.planning import Futures
+from ..models.trace.closed_loop import asked
 from ..models.trace.evaluation import GUIDES, TrialScene, TrialScenes
+from ..models.trace.metrics import Array
 from ..models.trace.network import Trace
 from ..models.trace.planner import Sampling, TracePlanner
+from ..models.trace.rollouts import Rollout, walk
+from .eval_trace_paper import Row
 
 TITLES = {
     "none": "no guidance",
@@ -24,6 +28,7 @@ TITLES = {
     "waypoint": "waypoint",
     "all": "waypoint and both avoidances",
 }
+MANY_STEPS = Sampling(solver="dpm", steps=20, samples=20, temperature=1.0)
 
 
 def draw_guides(folder: Path, planner: TracePlanner, scenes: TrialScenes) -> Path:
@@ -39,24 +44,93 @@ def draw_guides(folder: Path, planner: TracePlanner, scenes: TrialScenes) -> Pat
     return _save(figure, folder / "trace_guides.png")
 
 
-def draw_samples(folder: Path, trace: Trace, scenes: TrialScenes, count: int = 4) -> Path:
-    """20 unguided samples a person in several scenes; above none of the neighbours, below as trained (fig. 12).
+def draw_samples(
+    folder: Path, trace: Trace, scenes: TrialScenes, others: Mapping[str, Trace], count: int = 4
+) -> Path:
+    """20 unguided samples a person in several scenes, a row for each model (figure 12).
 
-    The upper row shows what people do who expect everybody else to walk straight on.
+    The first row shows what people do who expect everybody else to walk straight on, the second ours, the others
+    ablations by name.
     """
     apart = Trace(replace(trace.config, joint=False))
     apart.load_state_dict(trace.state_dict())
-    sampling = Sampling(solver="dpm", steps=20, samples=20)
-    figure, axes = _grid(2, count)
-    rows = {"others walk straight on": apart.eval(), "joint futures": trace}
-    chosen = sorted(islice(scenes, 30), key=lambda s: -len(s.truth))[:count]
-    for row, (title, model) in enumerate(rows.items()):
-        planner = TracePlanner(model, sampling)
-        for column, scene in enumerate(chosen):
-            axis = axes[row * count + column]
+    rows = {"others walk straight on": apart.eval(), "joint futures": trace, **others}
+    planners = {title: TracePlanner(model, MANY_STEPS) for title, model in rows.items()}
+    return _save(_unguided(planners, _fullest(scenes, count)), folder / "trace_samples.png")
+
+
+def draw_weights(
+    folder: Path, trace: Trace, scenes: TrialScenes, weights: Sequence[float], count: int = 4
+) -> Path:
+    """20 unguided samples a person in several scenes, a row for each w of classifier-free sampling (figure 13)."""
+    planners = {f"w = {w:g}": TracePlanner(trace, replace(MANY_STEPS, context_weight=w)) for w in weights}
+    return _save(_unguided(planners, _fullest(scenes, count)), folder / "trace_weights.png")
+
+
+def draw_rollouts(
+    folder: Path, planners: Mapping[str, tuple[str, TracePlanner]], trials: Sequence[Rollout], count: int = 3
+) -> Path:
+    """Recorded crowds walked anew in closed loop (figure 5): a row for each planner, a column for each rollout.
+
+    Args:
+        folder: Of the picture.
+        planners: By title, with the task of `closed_loop.TASKS`.
+        trials: Rollouts; those with the most people to plan for are drawn.
+        count: How many.
+    """
+    figure, axes = _grid(len(planners), count)
+    busiest = sorted(trials, key=lambda trial: -trial.walkers)[:count]
+    for row, (title, (task, planner)) in enumerate(planners.items()):
+        for number, trial, wanted in asked(busiest, task, seed=0):
+            axis = axes[row * count + number]
+            path = walk(planner, trial, wanted.wishes, seed=number)[..., :2].numpy()
+            _draw_rollout(axis, trial, path)
+            axis.set_title(title, fontsize=8)
+            if wanted.goals is not None:
+                axis.scatter(*wanted.goals.T, marker="x", s=18, c="black", linewidths=1, zorder=4)
+    return _save(figure, folder / "trace_rollouts.png")
+
+
+def draw_samplers(folder: Path, rows: Sequence[Row]) -> Path:
+    """Quality over time of the table `samplers`: left guided by all objectives, right without guidance."""
+    figure = Figure(figsize=(8, 3.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    guided, free = figure.subplots(1, 2)
+    for axis, guide, key, title in (
+        (guided, "all", "error", "waypoint error [m], all objectives"),
+        (free, "none", "emd_vel", "EMD of speeds [m/s], no guidance"),
+    ):
+        curves: dict[str, list[Row]] = {}
+        for row in rows:
+            if row["guide"] == guide:
+                curves.setdefault(str(row["sampler"]).split()[0], []).append(row)
+        for solver, points in curves.items():
+            x, y = ([float(p[k] or 0) for p in points] for k in ("seconds", key))
+            axis.plot(x, y, marker="o", markersize=3, linewidth=1, label=solver)
+            for point, *place in zip(points, x, y, strict=True):
+                axis.annotate(str(point["sampler"]).split()[1], place, fontsize=7)
+        axis.set_xscale("log")
+        axis.set_ylim(bottom=0)
+        axis.set_xlabel("CPU seconds a scene; numbers are denoising steps", fontsize=8)
+        axis.set_title(title, fontsize=9)
+        axis.legend(fontsize=7)
+    return _save(figure, folder / "trace_samplers.png")
+
+
+def _fullest(scenes: TrialScenes, count: int) -> list[TrialScene]:
+    """Those of the first scenes with the most people."""
+    return sorted(islice(scenes, 30), key=lambda s: -len(s.truth))[:count]
+
+
+def _unguided(planners: Mapping[str, TracePlanner], scenes: Sequence[TrialScene]) -> Figure:
+    """A row for each planner, a column for each scene."""
+    figure, axes = _grid(len(planners), len(scenes))
+    for row, (title, planner) in enumerate(planners.items()):
+        for column, scene in enumerate(scenes):
+            axis = axes[row * len(scenes) + column]
             _draw(axis, scene, planner.plan(scene.states, scene.size, scene.maps, seed=column))
             axis.set_title(title, fontsize=8)
-    return _save(figure, folder / "trace_samples.png")
+    return figure
 
 
 def _grid(rows: int, columns: int) -> tuple[Figure, Sequence[Axes]]:
@@ -81,7 +155,27 @@ def _draw(axis: Axes, scene: TrialScene, plan: Futures) -> None:
         axis.plot(*history[person].T, color=colour, linewidth=0.8, linestyle=":")
         axis.plot(*np.concatenate([now, samples[plan.chosen[person]]]).T, color=colour, linewidth=1.8)
         axis.scatter(*now.T, s=14, color=[colour], edgecolors="black", linewidths=0.5, zorder=3)
-    middle, reach = scene.truth[:, 0].mean(0), 9.0
+    _frame(axis, scene.truth[:, 0].mean(0), 9.0)
+
+
+def _draw_rollout(axis: Axes, trial: Rollout, path: Array) -> None:
+    """Obstacles, whoever is replayed in grey, recorded ways dotted, walked ways (walkers, T, 2) bold."""
+    for polygon in trial.polygons:
+        axis.fill(*polygon.T, color="0.75", linewidth=0)
+    span = slice(trial.now, trial.now + path.shape[1])
+    colours = colormaps["tab10"](np.arange(len(path)) % 10)
+    for person, truth in enumerate(trial.observed[:, span].numpy()):
+        colour = colours[person] if person < len(path) else "0.6"
+        axis.plot(*truth.T, color=colour, linewidth=0.8, linestyle=":")
+    for walked, colour in zip(path, colours, strict=True):
+        axis.plot(*walked.T, color=colour, linewidth=1.8)
+        axis.scatter(*walked[0], s=14, color=[colour], edgecolors="black", linewidths=0.5, zorder=3)
+    low, high = path.min((0, 1)), path.max((0, 1))
+    _frame(axis, (low + high) / 2, float((high - low).max()) / 2 + 2.0)
+
+
+def _frame(axis: Axes, middle: Array, reach: float) -> None:
+    """A square without numbers."""
     axis.set_xlim(middle[0] - reach, middle[0] + reach)
     axis.set_ylim(middle[1] - reach, middle[1] + reach)
     axis.set_aspect("equal")

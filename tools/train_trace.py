@@ -75,6 +75,9 @@ def add_parser(subparsers) -> None:
     parser.add_argument(
         "--touch", type=float, default=0.0, help="weight of people who overlap in predictions; the paper: 0"
     )
+    parser.add_argument(
+        "--calm", type=float, default=0.0, help="weight of actions that tremble in predictions; the paper: 0"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=None, help="of each process (default: torch decides)")
     parser.add_argument("--full-precision", action="store_true", help="no bfloat16")
@@ -165,7 +168,13 @@ class TrainingRun:
             context = vary_observation(context, generator)
             options = {}
             if self.args.model == "trace":
-                options = {"balance": self.args.balance, "touch": self.args.touch, "radius": data.radius}
+                args = self.args
+                options = {
+                    "balance": args.balance,
+                    "touch": args.touch,
+                    "calm": args.calm,
+                    "radius": data.radius,
+                }
             loss = self.loss(
                 self.model,
                 self.trace,
@@ -231,6 +240,7 @@ class TrainingRun:
             "drop": args.drop,
             "balance": args.balance,
             "touch": args.touch,
+            "calm": args.calm,
             "data": self.sources,
         }
 

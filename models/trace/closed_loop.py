@@ -35,11 +35,13 @@ class Task:
         name: Of the guide.
         wishes: What is asked of the walkers; nothing is asked of the others.
         error: (E,) guidance errors [m] of walked positions (walkers, 101, 2).
+        goals: (walkers, 2) where they are to go [m], or None.
     """
 
     name: str
     wishes: Wishes
     error: Callable[[Array], Array]
+    goals: Array | None = None
 
 
 def reach(name: str, goals: Array) -> Task:
@@ -52,7 +54,7 @@ def reach(name: str, goals: Array) -> Task:
         settings = {"goal": goal, "urgency": URGENCY, "speed": SPEED, "temperature": TEMPERATURE}
         return [Objective("global_waypoint", settings)]
 
-    return Task(name, wishes, lambda path: waypoint_error(path, goals))
+    return Task(name, wishes, lambda path: waypoint_error(path, goals), goals)
 
 
 def waypoint_task(rollout: Rollout, rng: np.random.Generator) -> Task:

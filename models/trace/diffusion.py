@@ -92,15 +92,23 @@ class Solver(Protocol):
         ...
 
 
-def spaced_timesteps(total: int, steps: int) -> list[int]:
-    """`steps` step indices from `total - 1` downwards in even strides; the noisiest is always in.
+def spaced_timesteps(total: int, steps: int, power: float = 1.0) -> list[int]:
+    """`steps` step indices from `total - 1` downwards; the noisiest is always in.
+
+    Args:
+        total: Steps of the schedule.
+        steps: How many of them.
+        power: 1 makes even strides; above 1 they grow towards the clean end as (i / steps)^power does.
 
     Raises:
         ValueError: When `steps` is not in 1..`total`.
     """
     if not 1 <= steps <= total:
         raise ValueError(f"a solver takes 1 to {total} steps of this schedule, not {steps}")
-    return [round(total - i * total / steps) - 1 for i in range(steps)]
+    indices = [total - 1]
+    for i in range(1, steps):
+        indices.append(min(round(total - total * (i / steps) ** power), indices[-1]) - 1)
+    return indices
 
 
 class DDPM:
@@ -152,10 +160,15 @@ class DPMSolver2M:
 
     The first and the last step are first-order. It remembers the previous clean prediction: use one instance
     per sampling run, in order.
+
+    Args:
+        schedule: Noise schedule.
+        steps: Denoising steps.
+        power: Of the strides, see `spaced_timesteps`.
     """
 
-    def __init__(self, schedule: CosineSchedule, steps: int = 8):
-        self.timesteps = spaced_timesteps(len(schedule), steps)
+    def __init__(self, schedule: CosineSchedule, steps: int = 8, power: float = 1.0):
+        self.timesteps = spaced_timesteps(len(schedule), steps, power)
         a = schedule.alphas_cumprod[self.timesteps].double()
         self._alpha, self._sigma = a.sqrt(), (1 - a).sqrt()
         self._log_snr = torch.log(self._alpha / self._sigma)  # lambda of the paper

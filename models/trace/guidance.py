@@ -107,6 +107,8 @@ def guide_direct(
     for _ in range(guidance.inner_steps):
         before, actions, future = clean, clean, None
         for i, wish in enumerate(objectives):
+            if not (pace[i] > _LEAST_PACE).any():
+                continue
             with torch.enable_grad():
                 if future is None:
                     actions = clean.detach().requires_grad_()

@@ -1,6 +1,7 @@
 import argparse
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -110,12 +111,12 @@ def test_ablations_stand_beside_ours(crowds, tmp_path, capsys, monkeypatch):
     paper, (ours, other) = rows[:4], rows[4:]  # the global map belongs to table 5
     assert {row["method"] for row in paper} == {"paper: TRACE"}
     assert ours["drop"] == 0.1 and ours["data"].startswith("maps, ")
-    assert (other["data"], other["drop"], other["steps"]) == ("maps", 0.05, "3")
+    assert (other["data"], other["drop"], other["steps"]) == ("maps", 0.05, 3)
     assert ours["ade"] < other["ade"]  # which was never trained
     assert run("--table", "5", *data) == 0
     rows = {row["method"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
     assert rows["compact"]["ade"] < rows["compact_global"]["ade"]
-    assert rows["compact_global"]["steps"] == "3" and {"VAE", "paper: TRACE-Global"} <= rows.keys()
+    assert rows["compact_global"]["steps"] == 3 and {"VAE", "paper: TRACE-Global"} <= rows.keys()
 
 
 def test_filtering_chooses_what_guided_sampling_would_count(crowds):
@@ -151,8 +152,19 @@ def test_pictures_are_drawn(crowds, tmp_path, capsys):
     crowds.save(tmp_path / "maps.npz")
     assert run("--data", str(tmp_path / "maps.npz"), "--pictures", str(tmp_path / "images")) == 0
     paths = capsys.readouterr().out.split()
-    assert [p.rsplit("/", 1)[1] for p in paths] == ["trace_guides.png", "trace_samples.png"]
-    assert all((tmp_path / "images" / p.rsplit("/", 1)[1]).stat().st_size > 10_000 for p in paths)
+    assert [Path(p).stem for p in paths] == ["trace_guides", "trace_samples", "trace_weights"]
+    assert all((tmp_path / "images" / Path(p).name).stat().st_size > 10_000 for p in paths)
+
+
+def test_samplers_are_compared_in_a_table_and_a_curve(crowds, tmp_path, capsys, monkeypatch):
+    crowds.save(tmp_path / "maps.npz")
+    monkeypatch.setattr(eval_trace, "SAMPLERS", [("ddim", 6), ("dpm", 2), ("dpm", 4)])
+    data = ["--data", str(tmp_path / "maps.npz"), "--pictures", str(tmp_path)]
+    assert run("--table", "samplers", *data) == 0
+    text = capsys.readouterr().out
+    assert text.count("| dpm 4 |") == text.count("| ddim 6 |") == 2
+    assert text.split()[-1].endswith("trace_samplers.png")
+    assert (tmp_path / "trace_samplers.png").stat().st_size > 10_000
 
 
 def test_missing_files_are_explained(tmp_path, capsys):

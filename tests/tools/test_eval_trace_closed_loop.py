@@ -70,3 +70,9 @@ def test_table_8_sweeps_the_context_and_is_written(root, tmp_path, capsys):
 def test_a_fold_that_is_not_there_is_named(root, capsys):
     assert table(root, "2", "--folds", "zara1") == 2
     assert "zara1" in capsys.readouterr().err
+
+
+def test_table_2_has_a_picture(root, tmp_path, capsys):
+    assert table(root, "2", "--pictures", str(tmp_path)) == 0
+    path = tmp_path / "trace_rollouts.png"
+    assert capsys.readouterr().out.split() == [str(path)] and path.stat().st_size > 10_000

@@ -135,11 +135,11 @@ def test_two_processes_train_one_model(data, tmp_path):
 def test_weights_to_begin_with_bring_what_they_have_behind_them(data, tmp_path, capsys):
     first, second = tmp_path / "first", tmp_path / "second"
     assert run(data, first, 2) == 0
-    begin = ["--init", str(first / "model.safetensors"), "--touch", "20"]
+    begin = ["--init", str(first / "model.safetensors"), "--touch", "20", "--calm", "2"]
     assert run(data, second, 1, *begin) == 0
     assert run(data, second, 3, *begin) == 0  # resumed, not begun again
     tensors, facts = load_tensors(second / "model.safetensors")
-    assert facts["step"] == 5 and facts["samples"] == 5 * 8 and facts["touch"] == 20
+    assert facts["step"] == 5 and facts["samples"] == 5 * 8 and (facts["touch"], facts["calm"]) == (20, 2)
     assert [source["name"] for source in facts["data"]] == ["orca-maps", "orca-interact", "start"]
     again, old = tensors["trajectory_mean"], load_tensors(first / "model.safetensors")[0]["trajectory_mean"]
     assert torch.equal(again, old)

@@ -1,3 +1,5 @@
+import itertools
+
 import pytest
 import torch
 from diffusers.schedulers.scheduling_ddim import DDIMScheduler
@@ -93,13 +95,13 @@ def test_noisy_ddim_equals_the_reference(schedule):
 
 
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # inside diffusers
-@pytest.mark.parametrize("steps", [5, 10, 20])
-def test_multistep_solver_equals_the_reference(schedule, steps):
+@pytest.mark.parametrize(("steps", "power"), [(5, 1.0), (10, 1.0), (20, 1.0), (4, 1.35), (10, 2.0)])
+def test_multistep_solver_equals_the_reference(schedule, steps, power):
     reference = DPMSolverMultistepScheduler(
         **REFERENCE, timestep_spacing="trailing", solver_order=2, final_sigmas_type="zero"
     )
-    reference.set_timesteps(steps)
-    solver = DPMSolver2M(schedule, steps)
+    solver = DPMSolver2M(schedule, steps, power)
+    reference.set_timesteps(steps) if power == 1.0 else reference.set_timesteps(timesteps=solver.timesteps)
     assert solver.timesteps == reference.timesteps.tolist()
     start = noisy = torch.randn(4, 6)
     for k in reference.timesteps:
@@ -150,6 +152,16 @@ def test_classifier_free_weights(schedule):
     assert torch.allclose(
         schedule.classifier_free(given, free, noisy, 30, 2.0), given + 2 * (given - free), atol=1e-4
     )
+
+
+@pytest.mark.parametrize("power", [1.0, 1.35, 3.0])
+@pytest.mark.parametrize("steps", [1, 4, 20, 100])
+def test_steps_are_from_the_noisiest_down_and_all_different(steps, power):
+    indices = spaced_timesteps(K, steps, power)
+    assert len(indices) == steps and indices[0] == K - 1 and indices[-1] >= 0
+    strides = [a - b for a, b in itertools.pairwise(indices)]
+    assert all(stride >= 1 for stride in strides)
+    assert power == 1.0 or steps != 4 or strides == sorted(strides)
 
 
 @pytest.mark.parametrize("steps", [0, 101])

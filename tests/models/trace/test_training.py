@@ -74,6 +74,23 @@ def test_two_owe_each_other_the_distance_they_truly_keep():
     assert depth[2] == 0.0
 
 
+def test_absolute_errors_of_actions_count_where_people_have_settled():
+    model, context = Trace(COMPACT).eval(), walkers(64)
+    actions = torch.randn(64, 52, 2) / 10
+    off = torch.tensor([0.3, -0.1])  # of the normalised actions
+
+    def loss(a, calm):
+        def wrong(noisy, k, context, neighbors, twice):
+            return (actions - model.trajectory_mean[4:]) / model.trajectory_std[4:] + off
+
+        schedule, generator = CosineSchedule(100), torch.Generator().manual_seed(0)
+        schedule.alphas_cumprod = torch.full((100,), a)
+        return denoising_loss(wrong, model, schedule, context, actions, generator, calm=calm)  # pyright: ignore
+
+    for a in (0.1, 0.9, 1.0):
+        assert loss(a, 2.0) - loss(a, 0.0) == pytest.approx(2.0 * a**8 * 0.2, abs=1e-5)
+
+
 def test_people_of_one_moment_are_equally_noisy_and_learn_with_and_without_an_estimate():
     model = Trace(COMPACT).eval()
     context = replace(walkers(60), moment=torch.arange(60) // 20)
