@@ -261,21 +261,20 @@ def table_5(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
     apart = Trace(dataclasses.replace(trace.config, joint=False))
     apart.load_state_dict(trace.state_dict())
     name = trace.config.name
-    planners = {
-        name: TracePlanner(trace, FAITHFUL),
-        f"{name}, {SEVERAL.solver} {SEVERAL.steps}": TracePlanner(trace, SEVERAL),
-        f"{name}, neighbours at constant velocity": TracePlanner(apart.eval(), FAITHFUL),
-    }
-    steps = dict.fromkeys(planners, load_model(args.weights)[1].get("step"))
+    step = load_model(args.weights)[1].get("step")
+    planners = [
+        (name, step, TracePlanner(trace, FAITHFUL)),
+        (f"{name}, {SEVERAL.solver} {SEVERAL.steps}", step, TracePlanner(trace, SEVERAL)),
+        (f"{name}, neighbours at constant velocity", step, TracePlanner(apart.eval(), FAITHFUL)),
+    ]
     for path in args.others:
         other, facts = load_model(path)
-        planners[other.config.name] = TracePlanner(other, FAITHFUL)
-        steps[other.config.name] = facts.get("step")
+        planners.append((other.config.name, facts.get("step"), TracePlanner(other, FAITHFUL)))
     if VAE_WEIGHTS.is_file():
         vae, facts = load_vae()
-        planners["VAE"], steps["VAE"] = VaePlanner(vae, 20), facts.get("step")
-    for method, planner in planners.items():
-        yield {"method": method, "steps": steps[method], **nearest_to_truth(scenes, planner)}
+        planners.append(("VAE", facts.get("step"), VaePlanner(vae, 20)))
+    for method, steps, planner in planners:
+        yield {"method": method, "steps": steps, **nearest_to_truth(scenes, planner)}
 
 
 def table_6(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:

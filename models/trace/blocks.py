@@ -1,8 +1,10 @@
 """Building blocks of the TRACE denoiser: history MLPs, step embedding and the temporal U-Net."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import cast
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 
@@ -56,12 +58,11 @@ class ResidualBlock(nn.Module):
         self.project = nn.Linear(condition, outputs)
         self.skip = nn.Conv1d(inputs, outputs, 1) if inputs != outputs else nn.Identity()
 
-    def forward(self, x: Tensor, condition: Tensor) -> Tensor:
-        """(B, inputs, T) and the activated condition (B, C) to (B, outputs, T)."""
+    def forward(self, x: Tensor, shift: Tensor) -> Tensor:
+        """(B, inputs, T) and the projected condition (B, outputs) to (B, outputs, T)."""
         hidden = self.first(x)
         # Written out over time first: bfloat16 adds a broadcast several times slower than a whole tensor.
-        shift = self.project(condition)[..., None].expand_as(hidden).contiguous()
-        return self.second(hidden + shift) + self.skip(x)
+        return self.second(hidden + shift[..., None].expand_as(hidden).contiguous()) + self.skip(x)
 
 
 class ResidualPair(nn.ModuleList):
@@ -72,10 +73,10 @@ class ResidualPair(nn.ModuleList):
             [ResidualBlock(i, outputs, condition, kernel, activation) for i in (inputs, outputs)]
         )
 
-    def forward(self, x: Tensor, condition: Tensor) -> Tensor:
-        """See `ResidualBlock.forward`."""
+    def forward(self, x: Tensor, shifts: Iterator[Tensor]) -> Tensor:
+        """See `ResidualBlock.forward`; takes the next two of the projected conditions."""
         for block in self:
-            x = block(x, condition)
+            x = block(x, next(shifts))
         return x
 
 
@@ -123,14 +124,21 @@ class TemporalUNet(nn.Module):
         """(B, T, inputs), (B, C) to (B, T, outputs); T must be a multiple of fold * 2^(levels - 1)."""
         frames = x.shape[1]
         x = x.reshape(len(x), frames // self.fold, -1).transpose(1, 2)
-        condition = self.activation(condition)
+        shifts = self._project(self.activation(condition))
         skips: list[Tensor] = []
         for level, blocks in enumerate(self.down):
-            x = blocks(x, condition)
+            x = blocks(x, shifts)
             skips.append(x)
             if level < len(self.halvings):
                 x = self.halvings[level](x)
-        x = self.middle(x, condition)
+        x = self.middle(x, shifts)
         for blocks, doubling in zip(self.up, self.doublings, strict=True):
-            x = doubling(blocks(torch.cat([x, skips.pop()], 1), condition))
+            x = doubling(blocks(torch.cat([x, skips.pop()], 1), shifts))
         return self.head(x).transpose(1, 2).reshape(len(x), frames, -1)
+
+    def _project(self, condition: Tensor) -> Iterator[Tensor]:
+        """What every layer adds, in the order of the layers: one product instead of one a layer."""
+        pairs = cast("Sequence[ResidualPair]", (*self.down, self.middle, *self.up))
+        layers = [cast(nn.Linear, block.project) for pair in pairs for block in pair]
+        weight, bias = (torch.cat([getattr(layer, name) for layer in layers]) for name in ("weight", "bias"))
+        return iter(F.linear(condition, weight, bias).split([layer.out_features for layer in layers], 1))

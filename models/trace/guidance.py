@@ -193,6 +193,9 @@ def reconsider(
         (A,) sample numbers.
     """
     rows, chosen = torch.arange(len(chosen)), chosen.clone()
+    kept = future.states[rows, chosen][:, None]  # (A, 1, T, 4)
+    if not (harm(objectives, replace(future, states=kept)) > met).any():
+        return chosen
     together = [wish for wish in objectives if wish.joint]
     own_harm = harm([wish for wish in objectives if not wish.joint], future)
     alone = _HARM * own_harm
@@ -206,7 +209,6 @@ def reconsider(
         wishes = torch.zeros(mutual.shape[1]) + sum((w.share * w.loss(mixed)).sum(0) for w in together)
         return wishes + _HARM * mutual.sum(0), mutual
 
-    kept = future.states[rows, chosen][:, None]  # (A, 1, T, 4)
     mutual, settled = seen_together(kept)[1][:, 0], torch.zeros(len(rows), dtype=torch.bool)
     while True:
         risk = (own_harm[rows, chosen] + mutual).masked_fill(settled, 0.0)
