@@ -116,7 +116,12 @@ def add_parser(subparsers) -> None:
     )
     parser.add_argument("--methods", nargs="+", choices=CHOICES, default=CHOICES, help="of table 1")
     parser.add_argument(
-        "--others", type=Path, nargs="+", default=[], metavar="WEIGHTS", help="ablations, for tables 5 and 6"
+        "--others",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="WEIGHTS",
+        help="ablations and others, for tables 2, 5, 6",
     )
     parser.add_argument("--scenes", type=int, default=None, help="only so many (default: all of the split)")
     parser.add_argument("--quick", action="store_true", help=f"the first {QUICK_SCENES} scenes")
@@ -141,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
             if args.pictures:
                 print(closed_loop.picture(trace, trials, args))
                 return 0
-            source = f"{trace.config.name}, step {facts.get('step')}; {len(trials)} {args.split} rollouts"
+            source = closed_loop.source(trace, facts, trials, args)
             show(args, closed_loop.TABLES[args.table](trace, trials, args), source, f"trace-{args.table}")
             return 0
         crowds = Crowds.load(args.data)
@@ -284,8 +289,7 @@ def table_6(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
         model, facts = load_model(path)
         if model.config != trace.config:
             continue
-        names = [source["name"] for source in facts["data"] if "scenes" in source]
-        labels = {"data": ", ".join(n.removeprefix("orca-") for n in names), "drop": facts["drop"]}
+        labels = {"data": closed_loop.trained_on(facts), "drop": facts["drop"]}
         row = nearest_to_truth(scenes, TracePlanner(model, FAITHFUL))
         yield {"method": trace.config.name, **labels, "steps": facts["step"], **row}
 

@@ -3,8 +3,9 @@
 import argparse
 import dataclasses
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from ..models.trace.planner import Sampling, TracePlanner
 from ..models.trace.rollouts import Rollout, rollouts
 from ..models.trace.vae import WEIGHTS as VAE_WEIGHTS
 from ..models.trace.vae import VaePlanner, load_vae
+from ..models.trace.weights import load_model
 from . import eval_trace_paper as paper
 from .eval_trace_paper import Row
 from .eval_trace_pictures import draw_rollouts
@@ -87,6 +89,21 @@ def read_trials(args: argparse.Namespace, config: TraceConfig) -> list[Rollout]:
     return trials
 
 
+def trained_on(facts: Mapping[str, Any]) -> str:
+    """The names of the training sets of weights."""
+    names = [str(source["name"]) for source in facts.get("data", []) if "scenes" in source]
+    return ", ".join(name.removeprefix("orca-") for name in names)
+
+
+def source(
+    trace: Trace, facts: Mapping[str, Any], trials: Sequence[Rollout], args: argparse.Namespace
+) -> str:
+    """What stands above a table: the weights and the rollouts."""
+    model = f"{trace.config.name}, step {facts.get('step')}, trained on {trained_on(facts)}"
+    where = f"{len(trials)} {args.split} rollouts of {', '.join(args.folds)}"
+    return f"{model} (a fold bears the name of the place it leaves out); {where}"
+
+
 def figures(report: LoopReport) -> Row:
     """The columns that both tables share."""
     return {
@@ -125,6 +142,12 @@ def table_2(trace: Trace, trials: Sequence[Rollout], args: argparse.Namespace) -
                 report = evaluate_loop(planner, trials, guide, clock=time.process_time)
                 labels: Row = {"guide": guide, "method": method, "config": trace.config.name, "w": weight}
                 yield labels | figures(report)
+        for path in args.others:
+            other, facts = load_model(path)
+            _, planner = next(planners(other, "direct", guide, args))
+            report = evaluate_loop(planner, trials, guide, clock=time.process_time)
+            labels = {"guide": guide, "method": f"direct, trained on {trained_on(facts)}"}
+            yield labels | {"config": other.config.name, "w": 0.0} | figures(report)
 
 
 def table_8(trace: Trace, trials: Sequence[Rollout], args: argparse.Namespace) -> Iterator[Row]:

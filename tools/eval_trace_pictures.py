@@ -75,14 +75,14 @@ def draw_rollouts(
     Args:
         folder: Of the picture.
         planners: By title, with the task of `closed_loop.TASKS`.
-        trials: Rollouts; those with the most people to plan for are drawn.
+        trials: Rollouts; those with groups and the most people to plan for are drawn.
         count: How many.
     """
-    figure, axes = _grid(len(planners), count)
-    busiest = sorted(trials, key=lambda trial: -trial.walkers)[:count]
+    busiest = sorted(trials, key=lambda trial: ((trial.groups < 0).all(), -trial.walkers))[:count]
+    figure, axes = _grid(len(planners), len(busiest))
     for row, (title, (task, planner)) in enumerate(planners.items()):
         for number, trial, wanted in asked(busiest, task, seed=0):
-            axis = axes[row * count + number]
+            axis = axes[row * len(busiest) + number]
             path = walk(planner, trial, wanted.wishes, seed=number)[..., :2].numpy()
             _draw_rollout(axis, trial, path)
             axis.set_title(title, fontsize=8)
@@ -170,8 +170,7 @@ def _draw_rollout(axis: Axes, trial: Rollout, path: Array) -> None:
     for walked, colour in zip(path, colours, strict=True):
         axis.plot(*walked.T, color=colour, linewidth=1.8)
         axis.scatter(*walked[0], s=14, color=[colour], edgecolors="black", linewidths=0.5, zorder=3)
-    low, high = path.min((0, 1)), path.max((0, 1))
-    _frame(axis, (low + high) / 2, float((high - low).max()) / 2 + 2.0)
+    _frame(axis, path[:, 0].mean(0), 9.0)
 
 
 def _frame(axis: Axes, middle: Array, reach: float) -> None:

@@ -25,9 +25,10 @@ def root(tmp_path_factory):
     whole = Recording("street", tracks, [(0.0, 20.0, "test")], [wall])
     pack_recordings("street", [whole], 0.25, {}).save(root / "hotel" / "maps.npz")
     torch.manual_seed(0)
+    facts = {"step": 0, "data": [{"name": "street", "scenes": 1}, {"name": "start"}]}
     for name, network in (("trace", Trace(COMPACT)), ("vae", TraceVae(COMPACT))):
         network.trajectory_std[4:] = 0.1
-        save_model(root / f"{name}.safetensors", network, {"step": 0})
+        save_model(root / f"{name}.safetensors", network, facts)
     return root
 
 
@@ -45,12 +46,12 @@ def table(root, number, *more):
 
 
 def test_table_2_has_the_papers_the_recorded_and_our_rows(root, capsys):
-    assert table(root, "2", "--methods", "direct", "vae") == 0
+    assert table(root, "2", "--methods", "direct", "vae", "--others", str(root / "trace.safetensors")) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     for guide in ("waypoint", "perturbed", "groups"):
         methods = [row["method"] for row in rows if row["guide"] == guide]
         assert methods[:4] == ["paper: VAE", "paper: TRACE, w 0", "paper: TRACE, w -0.5", "recorded"]
-        assert methods[4:] == ["direct", "direct", "vae"]
+        assert methods[4:] == ["direct", "direct", "vae", "direct, trained on street"]
     recorded = {row["guide"]: row for row in rows if row["method"] == "recorded"}
     assert recorded["waypoint"]["error"] == 0.0 and recorded["waypoint"]["lon"] < 0.01
     assert recorded["groups"]["error"] == pytest.approx(0.5, abs=0.01)  # they walk 1 m apart
