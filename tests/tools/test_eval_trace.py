@@ -114,9 +114,12 @@ def test_ablations_stand_beside_ours(crowds, tmp_path, capsys, monkeypatch):
     assert (other["data"], other["drop"], other["steps"]) == ("maps", 0.05, 3)
     assert ours["ade"] < other["ade"]  # which was never trained
     assert run("--table", "5", *data) == 0
-    rows = {row["method"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
-    assert rows["compact"]["ade"] < rows["compact_global"]["ade"]
-    assert rows["compact_global"]["steps"] == 3 and {"VAE", "paper: TRACE-Global"} <= rows.keys()
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    by_method = {row["method"]: row for row in rows if row.get("steps") in (3, None)}
+    ours = next(row for row in rows if row["method"] == "compact")
+    assert {"VAE", "paper: TRACE-Global"} <= {row["method"] for row in rows}
+    assert ours["steps"] > 1000
+    assert ours["ade"] < min(by_method[name]["ade"] for name in ("compact", "compact_global"))
 
 
 def test_filtering_chooses_what_guided_sampling_would_count(crowds):
