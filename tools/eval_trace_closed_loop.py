@@ -137,17 +137,23 @@ def table_2(trace: Trace, trials: Sequence[Rollout], args: argparse.Namespace) -
     for guide in GUIDES:
         yield from (row for row in paper.TABLE_2 if row["guide"] == guide)
         yield {"guide": guide, "method": "recorded", **figures(recorded(trials, guide))}
-        for method in args.methods:
-            for weight, planner in planners(trace, method, guide, args):
-                report = evaluate_loop(planner, trials, guide, clock=time.process_time)
-                labels: Row = {"guide": guide, "method": method, "config": trace.config.name, "w": weight}
-                yield labels | figures(report)
-        for path in args.others:
-            other, facts = load_model(path)
-            _, planner = next(planners(other, "direct", guide, args))
+        for method, weight, planner in compared(trace, guide, args):
             report = evaluate_loop(planner, trials, guide, clock=time.process_time)
-            labels = {"guide": guide, "method": f"direct, trained on {trained_on(facts)}"}
-            yield labels | {"config": other.config.name, "w": 0.0} | figures(report)
+            labels: Row = {"guide": guide, "method": method, "config": planner.config.name, "w": weight}
+            yield labels | figures(report)
+
+
+def compared(
+    trace: Trace, guide: str, args: argparse.Namespace
+) -> Iterator[tuple[str, float | None, TracePlanner]]:
+    """Methods with their w and planners; then those of `--others`, guided as shipped."""
+    for method in args.methods:
+        for weight, planner in planners(trace, method, guide, args):
+            yield method, weight, planner
+    for path in args.others:
+        other, facts = load_model(path)
+        weight, planner = next(planners(other, "direct", guide, args))
+        yield f"direct, trained on {trained_on(facts)}", weight, planner
 
 
 def table_8(trace: Trace, trials: Sequence[Rollout], args: argparse.Namespace) -> Iterator[Row]:

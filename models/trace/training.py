@@ -13,9 +13,7 @@ from .windows import CrowdWindows
 
 _READS_ESTIMATE = 0.5  # share of steps that learn with an estimate (Chen et al. 2023)
 _APART = 0.05  # room that people keep beyond their discs [m]
-_SETTLED = (
-    8  # power of the clean signal's share by which overlaps and trembling count: what is left is settled
-)
+_SETTLED = 8  # power of the clean signal's share by which overlaps and trembling count: late on
 
 
 def denoising_loss(
