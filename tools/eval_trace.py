@@ -52,6 +52,8 @@ planner ships with."""
 CHOICES = ["filter", *METHODS, "vae"]
 """Filter: choose among unguided samples. VAE: latent optimisation (app. C.4)."""
 
+FEW = 6
+"""Up to so many steps strides and temperature are those of few steps."""
 SAMPLERS: list[tuple[str, int]] = [
     ("ddpm", 100),
     ("sde", 20),
@@ -312,8 +314,9 @@ def table_samplers(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) 
     for solver, steps in SAMPLERS:
         for guide in ("none", "all"):
             shipped = FEW_STEPS if guide == "none" else SEVERAL
-            warm = shipped.temperature if solver == shipped.solver else 1.0
-            sampling = dataclasses.replace(shipped, solver=solver, steps=steps, temperature=warm)  # pyright: ignore[reportArgumentType]
+            sampling = dataclasses.replace(shipped, solver=solver, steps=steps)  # pyright: ignore[reportArgumentType]
+            if solver != shipped.solver or steps > FEW:
+                sampling = dataclasses.replace(sampling, power=1.0, temperature=1.0)
             planner = TracePlanner(trace, sampling, Guidance(mode="direct"))
             choice = "every" if guide == "none" else "guide"
             report = evaluate_all(scenes, planner, GUIDES[guide], choice)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from .blocks import Mlp
 from .config import TraceConfig
 from .context import Context, from_frame
-from .scene_map import SceneMaps
+from .scene_map import MapView
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,7 @@ class MapFeatures:
 
     vector: Tensor
     grid: Tensor | None
-    maps: SceneMaps | None
-    pose: Tensor
-    scene: Tensor
+    view: MapView | None
     known: Tensor
 
     def repeat(self, samples: int) -> "MapFeatures":
@@ -35,9 +33,8 @@ class MapFeatures:
             return x.repeat_interleave(samples, 0)
 
         grid = None if self.grid is None else many(self.grid)
-        return MapFeatures(
-            many(self.vector), grid, self.maps, many(self.pose), many(self.scene), many(self.known)
-        )
+        view = None if self.view is None else self.view.repeat(samples)
+        return MapFeatures(many(self.vector), grid, view, many(self.known))
 
 
 class DistanceMapEncoder(nn.Module):
@@ -65,27 +62,26 @@ class DistanceMapEncoder(nn.Module):
         self.vector_width = 128
         self.mlp = Mlp(len(self.lattice) * len(layers) + 1, (256, 128), self.vector_width)
 
-    def _look_up(self, points: Tensor, features: MapFeatures) -> Tensor:
-        """Clipped distances at ego-frame points (B, P, 2) as (B, P, C); zero where the map is unknown."""
-        if features.maps is None:
-            return points.new_zeros(*points.shape[:-1], len(self.layers))
-        values = features.maps.sample(from_frame(points, features.pose), features.scene)
-        return values.clamp(-self.clip, self.clip) * features.known[:, None, None]
+    def _look_up(self, positions: Tensor, star: Tensor, view: MapView | None, known: Tensor) -> Tensor:
+        """Clipped distances (B, T, P * C) at offsets (P, 2) from ego-frame positions (B, T, 2); zero if unknown."""
+        if view is None:
+            return positions.new_zeros(*positions.shape[:-1], len(star) * len(self.layers))
+        values = view.around(positions, star).clamp(-self.clip, self.clip) * known[:, None, None]
+        return values.unflatten(1, (positions.shape[1], -1)).flatten(2)
 
     def encode(self, context: Context) -> MapFeatures:
         """Everything about the map that does not depend on the noisy trajectory."""
-        maps = None if context.maps is None else context.maps.select(self.layers)
-        empty = MapFeatures(
-            context.ego.new_zeros(0), None, maps, context.pose, context.scene, context.map_known
-        )
-        lattice = self._look_up(self.lattice.expand(len(context), -1, -1), empty).flatten(1)
-        vector = self.mlp(torch.cat([lattice, context.map_known[:, None].to(lattice.dtype)], -1))
-        return MapFeatures(vector, None, maps, context.pose, context.scene, context.map_known)
+        known, view = context.map_known, None
+        if context.maps is not None:
+            view = context.maps.select(self.layers).view(context.pose, context.scene)
+        here = context.ego.new_zeros(len(context), 1, 2)
+        lattice = self._look_up(here, self.lattice, view, known).flatten(1)
+        vector = self.mlp(torch.cat([lattice, known[:, None].to(lattice.dtype)], -1))
+        return MapFeatures(vector, None, view, known)
 
     def query(self, features: MapFeatures, positions: Tensor) -> Tensor:
         """Features along ego-frame positions (B, T, 2) as (B, T, queries)."""
-        points = (positions[:, :, None] + self.stencil).flatten(1, 2)
-        return self._look_up(points, features).unflatten(1, (positions.shape[1], -1)).flatten(2)
+        return self._look_up(positions, self.stencil, features.view, features.known)
 
 
 class BasicBlock(nn.Module):
@@ -200,7 +196,7 @@ class GridMapEncoder(CropMapEncoder):
             x = up(x, skip)
         grid = self.norm(self.head(F.relu(x + self.residual(x))))
         vector = context.ego.new_zeros(len(context), 0)
-        return MapFeatures(vector, grid, None, context.pose, context.scene, context.map_known)
+        return MapFeatures(vector, grid, None, context.map_known)
 
     def query(self, features: MapFeatures, positions: Tensor) -> Tensor:
         """Bilinear features at ego-frame positions (B, T, 2), clamped to the border, as (B, T, 32)."""
@@ -233,7 +229,7 @@ class GlobalMapEncoder(CropMapEncoder):
     def encode(self, context: Context) -> MapFeatures:
         """The vector of every agent."""
         vector = self.head(self.backbone(self.draw(context))[-1].mean((2, 3)))
-        return MapFeatures(vector, None, None, context.pose, context.scene, context.map_known)
+        return MapFeatures(vector, None, None, context.map_known)
 
     def query(self, features: MapFeatures, positions: Tensor) -> Tensor:
         """Nothing: (B, T, 0)."""

@@ -98,7 +98,21 @@ class SceneMaps:
         cell = (points - self.origin[scene][:, None]) / self.resolution
         x = cell[..., 0].clamp(0, columns - 1)
         y = cell[..., 1].clamp(0, rows - 1) + (scene * rows)[:, None]
-        grid = torch.stack([x, y], -1) * self._scale - 1
+        return self._read(torch.stack([x, y], -1) * self._scale - 1)
+
+    def view(self, pose: Tensor, scene: Tensor) -> "MapView":
+        """How agents at poses (B, 3), world x, y [m] and heading, see the maps of their scenes (B,)."""
+        cos, sin = pose[:, 2].cos(), pose[:, 2].sin()
+        turn = torch.stack([torch.stack([cos, sin], -1), torch.stack([-sin, cos], -1)], -2)
+        rows = self.distance.shape[2]
+        scale = self._scale / self.resolution
+        first = torch.stack([torch.zeros_like(scene), scene * rows], -1) * self._scale - 1
+        offset = (pose[:, :2] - self.origin[scene]) * scale + first
+        low = first[:, 1]
+        return MapView(self, turn * scale, offset, low, low + (rows - 1) * self._scale[1])
+
+    def _read(self, grid: Tensor) -> Tensor:
+        """Distances (B, P, C) at places (B, P, 2) of the tall picture, as `grid_sample` counts them."""
         values = F.grid_sample(
             self._tall, grid[None], mode="bilinear", padding_mode="border", align_corners=True
         )
@@ -115,6 +129,44 @@ class SceneMaps:
         """(2,) from columns and rows of the tall picture to twice the share of it."""
         rows, columns = self._tall.shape[2:]
         return 2 / torch.tensor([max(columns - 1, 1), max(rows - 1, 1)])
+
+
+@dataclass(frozen=True)
+class MapView:
+    """Maps as B agents see them: their own frames straight to the picture, for who looks up many points often.
+
+    Attributes:
+        maps: What they look at.
+        turn: (B, 2, 2) from metres ahead and left to the picture.
+        offset: (B, 2) where they are in it.
+        low: (B,) first row of their scene.
+        high: (B,) its last row.
+    """
+
+    maps: SceneMaps
+    turn: Tensor
+    offset: Tensor
+    low: Tensor
+    high: Tensor
+
+    def repeat(self, samples: int) -> "MapView":
+        """Every agent `samples` times in a row."""
+        parts = (self.turn, self.offset, self.low, self.high)
+        return MapView(self.maps, *(part.repeat_interleave(samples, 0) for part in parts))
+
+    def around(self, positions: Tensor, star: Tensor) -> Tensor:
+        """`SceneMaps.sample` around ego-frame positions (B, T, 2) at offsets (P, 2) [m], as (B, T * P, C)."""
+        ahead, left = (
+            self.turn[:, None, 0],
+            self.turn[:, None, 1],
+        )  # two products are faster than 2 x 2 matrices
+        middle = torch.addcmul(self.offset[:, None], positions[..., :1], ahead)
+        middle = torch.addcmul(middle, positions[..., 1:], left)
+        grid = (middle[:, :, None] + (star[:, :1] * ahead + star[:, 1:] * left)[:, None]).flatten(1, 2)
+        if len(self.maps.origin) > 1:  # another scene goes on where this one ends
+            rows = grid[..., 1].clamp(self.low[:, None], self.high[:, None])
+            grid = torch.stack([grid[..., 0], rows], -1)
+        return self.maps._read(grid)
 
 
 def signed_distance(mask: np.ndarray, resolution: float) -> np.ndarray:

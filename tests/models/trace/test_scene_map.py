@@ -4,6 +4,7 @@ import torch
 from shapely.geometry import Point, Polygon
 from shapely.ops import unary_union
 
+from footfall.models.trace.context import from_frame
 from footfall.models.trace.scene_map import SceneMaps, polygon_distance, signed_distance
 
 SQUARE = np.array([[0, 0], [2, 0], [2, 2], [0, 2]], np.float32)
@@ -74,3 +75,19 @@ def test_layers_are_selected_and_walkable_is_implied():
 def test_uniform_masks_are_far_from_any_border(filled, sign):
     distance = signed_distance(np.full((4, 3), filled), 0.5)
     assert np.all(sign * distance >= 2.5)
+
+
+def test_a_view_reads_what_sampling_at_world_points_reads():
+    generator = torch.Generator().manual_seed(0)
+    distance = torch.randn((3, 2, 12, 9), generator=generator)
+    maps = SceneMaps(distance, torch.tensor([[0.0, 0.0], [-3.0, 2.0], [5.0, 1.0]]), 0.5, ("a", "b"))
+    pose = 4 * torch.randn((7, 3), generator=generator)
+    scene = torch.randint(3, (7,), generator=generator)
+    positions, star = torch.randn((7, 5, 2), generator=generator), torch.randn((4, 2), generator=generator)
+    points = (positions[:, :, None] + star).flatten(1, 2)
+    expected = maps.sample(from_frame(points, pose), scene)
+    assert torch.allclose(maps.view(pose, scene).around(positions, star), expected, atol=1e-4)
+    alone = SceneMaps(distance[:1], maps.origin[:1], 0.5, maps.layers)
+    first = torch.zeros_like(scene)
+    expected = alone.sample(from_frame(points, pose), first)
+    assert torch.allclose(alone.view(pose, first).around(positions, star), expected, atol=1e-4)
