@@ -13,10 +13,17 @@ Array = NDArray[np.float64]
 HeightAt = Callable[[Array], Array]
 """Ground height (m,) in m at world points (m, 2)."""
 
+HALF_WIDTH = 0.045
+"""m: of the sole."""
+_ASIDE = np.array(
+    [-0.03, 0.0, 0.03, 0.06, 0.09]
+)  # m outwards: footholds tried where an edge runs along the sole
+_ACROSS = np.arange(_ASIDE[0] - HALF_WIDTH, _ASIDE[-1] + HALF_WIDTH + 0.01, 0.03)  # m: what they cover
+_ALONG = np.array([0.1, 0.5, 0.9])  # shares of the sole's length at which its width is felt
 _SHIFTS = np.linspace(-1.0, 1.0, 7)  # footholds tried on broken ground: shares of the feet's reach
 _SOLE = np.linspace(0.0, 1.0, 5)  # shares of the sole's length at which the ground is felt
 _ROUGH = 0.015  # m: bump under the sole that counts as broken ground
-_STEEPEST = 0.9  # rise over run of a ground the foot lies on; steeper is an edge
+STEEPEST = 0.9  # rise over run of a ground the foot lies on; steeper is an edge
 
 
 def settle(s: State, feet: tuple[NDArray[np.intp], ...], height_at: HeightAt) -> Array:
@@ -33,6 +40,7 @@ def settle(s: State, feet: tuple[NDArray[np.intp], ...], height_at: HeightAt) ->
     heel, tip, goal = s["heel"][feet][:, 0], s["tip"][feet][:, 0], s["goal"][feet].copy()
     offset = s["offset"][feet[0]]
     goal[:, :2] += offset
+    goal[:, :2] += _step_aside(s, feet, goal, heel, tip, height_at)
     height = _ground_under(goal, heel, tip, np.zeros(len(heel)), height_at)
     slope, rough = _line_fit(height, heel, tip)
     shift = np.zeros(len(heel))
@@ -67,6 +75,30 @@ def settle(s: State, feet: tuple[NDArray[np.intp], ...], height_at: HeightAt) ->
     return np.stack([x, y, z, goal[:, 2], -np.arctan(slope), np.arctan(tilt)], axis=-1)
 
 
+def _step_aside(
+    s: State, feet: tuple[NDArray[np.intp], ...], goal: Array, heel: Array, tip: Array, height_at: HeightAt
+) -> Array:
+    """Shifts (k, 2), m, world, of soles at goals (k, 3) that stood half on an edge beside them.
+
+    A foot that hangs over an edge along its length rolls over; a few centimetres aside it does not.
+    """
+    out = 1.0 - 2.0 * feet[1]  # left is outwards for the left foot
+    left = np.stack([-np.sin(goal[:, 2]), np.cos(goal[:, 2])], -1) * out[:, None]
+    ahead = np.stack([np.cos(goal[:, 2]), np.sin(goal[:, 2])], -1)
+    along = heel[:, None] + (tip - heel)[:, None] * _ALONG
+    spots = goal[:, None, None, :2] + along[:, :, None, None] * ahead[:, None, None]
+    spots = spots + _ACROSS[:, None] * left[:, None, None]  # (k, 3, 8, 2)
+    rise = np.abs(np.diff(height_at(spots.reshape(-1, 2)).reshape(spots.shape[:-1]), axis=-1))
+    edge = np.maximum(rise - STEEPEST * 0.03, 0.0)  # (k, 3, 7)
+    under = edge[..., :-2] + edge[..., 1:-1] + edge[..., 2:]  # of each of the footholds tried (k, 3, 5)
+    under = np.median(under, axis=1)  # an edge across the sole is none beside it
+    before = s["aside"][feet]
+    cost = 3.0 * under + 0.3 * np.abs(_ASIDE) + 0.3 * np.abs(_ASIDE - before[:, None])
+    aside = np.where((under > 0.0).any(1), _ASIDE[cost.argmin(1)], 0.0)
+    s["aside"][feet] = aside
+    return aside[:, None] * left
+
+
 def _ground_under(goal: Array, heel: Array, tip: Array, shift: Array, height_at: HeightAt) -> Array:
     """Ground height (k, 5) from heel to tip of soles at goals (k, 3) shifted forward by (k,)."""
     along = (heel + shift)[:, None] + (tip - heel)[:, None] * _SOLE
@@ -80,7 +112,7 @@ def _line_fit(height: Array, heel: Array, tip: Array) -> tuple[Array, Array]:
     rise = height[:, -1] - height[:, 0]
     slope = rise / (tip - heel)
     rough = np.abs(height - height[:, :1] - rise[:, None] * _SOLE).max(-1)
-    return slope, np.where(np.abs(slope) > _STEEPEST, np.maximum(rough, 0.1), rough)
+    return slope, np.where(np.abs(slope) > STEEPEST, np.maximum(rough, 0.1), rough)
 
 
 def step_up(start: Array, end: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import norms
-from .footholds import HeightAt, settle, step_up
+from .footholds import HALF_WIDTH, STEEPEST, HeightAt, settle, step_up
 from .norms import smoothstep
 from .state import State
 
@@ -27,6 +27,7 @@ HARDEST_LEAN = 2.5
 """m/s^2: accelerations beyond are not leaned into any further."""
 _QUICK = 1.2  # share by which strides are shorter on ground that rises 1 m/m
 _LATE = 0.1  # share of a swing at its end in which a foot on its way to a lower tread only sinks
+_ABREAST = np.linspace(-0.2, 0.2, 9)  # m: where edges are looked for beside the root
 _RISE_PER_STEP = 0.19  # m: a tall tread
 _PATH = np.linspace(0.2, 0.9, 8)  # shares of a swing at which it must clear the ground
 
@@ -128,13 +129,16 @@ def _track(s: State, position: Array, speed: Array, turn_rate: Array, dt: float)
 
 
 def _look_ahead(s: State, heading: Array, dt: float, height_at: HeightAt) -> None:
-    """Update the steepness of the way from just behind the root to a step ahead of it."""
+    """Update the steepness of the way from just behind the root to a step ahead of it, and over edges beside it."""
     here = s["position"] + s["offset"]
     xy = here + np.array([-0.1, 0.7])[:, None, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
     height = height_at(xy.reshape(-1, 2)).reshape(2, -1)
     slope = (height[1] - height[0]) / 0.8
     s["climb"] += (slope - s["climb"]) * (1.0 - np.exp(-dt / 0.15))
-    change = np.abs(slope) - s["grade"]
+    xy = here + _ABREAST[:, None, None] * np.stack([-np.sin(heading), np.cos(heading)], -1)
+    rises = np.abs(np.diff(height_at(xy.reshape(-1, 2)).reshape(len(_ABREAST), -1), axis=0))
+    tilt = np.where(rises > STEEPEST * (_ABREAST[1] - _ABREAST[0]), rises, 0.0).sum(0) / np.ptp(_ABREAST)
+    change = np.maximum(np.abs(slope), tilt) - s["grade"]
     s["grade"] += change * (1.0 - np.exp(-dt / np.where(change > 0.0, 0.15, 0.8)))
 
 
@@ -251,9 +255,13 @@ def _swing(s: State, swinging: NDArray[np.bool_], height_at: HeightAt) -> None:
     yaw = start[:, 3:4] + share * change[:, 3:4]
     reach = np.stack([s["heel"][agent, foot, 0], s["toe"][agent, foot, 0], s["tip"][agent, foot, 0]], -1)
     toward = np.stack([np.cos(yaw), np.sin(yaw)], -1)
-    points = along[:, :, None] + reach[:, None, :, None] * toward[:, :, None]  # (k, 5, 3, 2)
+    points = along[:, :, None] + reach[:, None, :, None] * toward[:, :, None]  # (k, 8, 3, 2)
+    # Feet that have weight must clear what is under all their width; others may graze it.
+    half = np.where(s["reach"][agent] > 0.0, 0.0, HALF_WIDTH)[:, None, None]
+    aside = (half * np.stack([-toward[..., 1], toward[..., 0]], -1))[:, :, None]
+    points = np.stack([points - aside, points + aside])
     slope = np.tan(start[:, 4:5] + share * change[:, 4:5])
-    ground = height_at(points.reshape(-1, 2)).reshape(points.shape[:-1])
+    ground = height_at(points.reshape(-1, 2)).reshape(points.shape[:-1]).max(0)
     ground = (ground + slope[..., None] * reach[:, None]).max(-1)  # above the plane of the sole
     vigour = s["vigour"][agent]
     clearance = 0.05 - 0.02 * np.minimum(vigour, 1.0) + 0.07 * norms.running(s["speed"][agent])

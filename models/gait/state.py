@@ -47,6 +47,7 @@ STATE = np.dtype(
         ("left_from", "f8", (2, 6)),  # place at the last toe-off
         ("target", "f8", (2, 6)),  # place of the next landing
         ("shift", "f8", (2,)),  # m forward, chosen to keep the foot on one tread
+        ("aside", "f8", (2,)),  # m outwards, chosen to keep the foot off an edge beside it
         ("goal", "f8", (2, 3)),  # (x, y, yaw) the foot stands for, before it was shifted
         ("roll_off", "f8", (2,)),  # pitch at the last toe-off, rad
         ("landing", "f8", (2,)),  # pitch at the last or next landing, rad

@@ -11,7 +11,10 @@ from .courses import Course
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
-_UP, _DOWN = 0.06, 0.06  # levels by which a walk changes where its kind of ground is begun: half may fail
+_UP, _DOWN = (
+    0.06,
+    0.03,
+)  # levels by which a walk changes where its kind of ground is begun: two thirds may fall
 _SPREAD = 3  # levels, the hardest and those below, on which people begin
 _TOGETHER = 3.0  # m within which company begins
 _ROOM, _APART = 1.0, 1.2  # m to obstacles, and to each other if there is room for that
@@ -72,11 +75,11 @@ class Starts:
             self._tile[ids] = np.clip(places // self._course.settings.tile, 0, last)
         return places
 
-    def promote(self, ids: Ids, failed: NDArray[np.bool_]) -> None:
-        """Let people begin on harder ground where those (n,) who began on the hardest did well."""
+    def promote(self, ids: Ids, fell: NDArray[np.bool_]) -> None:
+        """Let people begin on harder ground where few of those (n,) who began on the hardest fell."""
         columns, levels = self._tile[ids].T
         top = levels >= np.floor(self.hardest[columns])
-        np.add.at(self.hardest, columns[top], np.where(failed[top], -_DOWN, _UP))
+        np.add.at(self.hardest, columns[top], np.where(fell[top], -_DOWN, _UP))
         last = len(self._course.kinds) - 1.0 if self._course else 0.0
         self.hardest = np.clip(self.hardest, 0.0, last)
 

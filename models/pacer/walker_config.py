@@ -129,6 +129,7 @@ CONFIGS: dict[str, WalkerConfig] = {
         company=4,
         noise=0.12,
         first_difficulty=0.5,
+        push_interval=8.0,
         widen_below=0.045,
         widening=0.004,
         lost=4.0,

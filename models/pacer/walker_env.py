@@ -284,7 +284,7 @@ class WalkerEnv:
         }
         if len(ended):
             if self.starts.learning:
-                self.starts.promote(ended, failed[ended])
+                self.starts.promote(ended, fell[ended])
             self._begin(ended)
             self.settle(ended)
             observations[ended] = self.observe()[ended]

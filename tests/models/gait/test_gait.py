@@ -13,7 +13,7 @@ from footfall.models.body import (
     sample_shapes,
     shape_for,
 )
-from footfall.models.gait import Command, Gait, GaitError, flat_ground, pose
+from footfall.models.gait import Command, Gait, GaitError, flat_ground, footholds, pose
 
 DT = 1.0 / 30.0
 ANKLES = [BODY_INDEX["L_Ankle"], BODY_INDEX["R_Ankle"]]
@@ -408,3 +408,32 @@ def test_bad_input_is_named():
         gait.update(Command.of(position, heading, np.ones(2)), 0.0)
     with pytest.raises(GaitError, match="as many bodies"):
         gait.enter([7, 8], bodies[:1], position, heading)
+
+
+def ledge(xy, edge=0.04, rise=0.12):
+    """A step up to the left of a way along x, under the left foot; a ramp of 5 cm as grids have it."""
+    return rise * np.clip((xy[:, 1] - edge) / 0.05, 0.0, 1.0)
+
+
+def soles_over_an_edge(walked, rise=0.12, half=0.045):
+    """Share of standing soles that lie neither on the lower nor on the upper level across their width."""
+    standing = walked.states["planted"] & (np.abs(walked.states["roll"]) < 0.1)
+    place = walked.states["place"][standing]
+    left = half * np.stack([-np.sin(place[:, 3]), np.cos(place[:, 3])], -1)
+    sides = place[:, :2] - left, place[:, :2] + left
+    return np.mean(np.abs(ledge(sides[1]) - ledge(sides[0])) > 0.5 * rise)
+
+
+def test_feet_step_off_an_edge_beside_them(monkeypatch):
+    monkeypatch.setitem(GROUNDS, "ledge", ledge)
+    (walked,) = walks([("line", 1.0, "ledge")])
+    monkeypatch.setattr(footholds, "_ASIDE", np.zeros(5))
+    (straight,) = walks([("line", 1.0, "ledge")])
+    assert soles_over_an_edge(walked) < 0.5 * soles_over_an_edge(straight)
+
+
+def test_steps_are_quicker_beside_an_edge(monkeypatch):
+    monkeypatch.setitem(GROUNDS, "ledge", ledge)
+    beside, flat = walks([("line", 1.0, "ledge"), ("line", 1.0, "flat")])
+    strides = [np.sum(np.diff(w.states["phase"]) < -0.5) for w in (beside, flat)]
+    assert strides[0] > strides[1]
