@@ -28,6 +28,7 @@ HARDEST_LEAN = 2.5
 _QUICK = 1.2  # share by which strides are shorter on ground that rises 1 m/m
 _LATE = 0.1  # share of a swing at its end in which a foot on its way to a lower tread only sinks
 _ABREAST = np.linspace(-0.2, 0.2, 9)  # m: where edges are looked for beside the root
+_TILTED = 0.3  # rise over run that ground with an edge beside the root counts as, at most
 _RISE_PER_STEP = 0.19  # m: a tall tread
 _PATH = np.linspace(0.2, 0.9, 8)  # shares of a swing at which it must clear the ground
 
@@ -138,7 +139,7 @@ def _look_ahead(s: State, heading: Array, dt: float, height_at: HeightAt) -> Non
     xy = here + _ABREAST[:, None, None] * np.stack([-np.sin(heading), np.cos(heading)], -1)
     rises = np.abs(np.diff(height_at(xy.reshape(-1, 2)).reshape(len(_ABREAST), -1), axis=0))
     tilt = np.where(rises > STEEPEST * (_ABREAST[1] - _ABREAST[0]), rises, 0.0).sum(0) / np.ptp(_ABREAST)
-    change = np.maximum(np.abs(slope), tilt) - s["grade"]
+    change = np.maximum(np.abs(slope), np.minimum(tilt, _TILTED)) - s["grade"]
     s["grade"] += change * (1.0 - np.exp(-dt / np.where(change > 0.0, 0.15, 0.8)))
 
 

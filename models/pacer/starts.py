@@ -53,11 +53,14 @@ class Starts:
         if self._course is None:
             return np.zeros((count, 2))
         rng, centres = self._rng, self._course.centres()
-        columns = rng.integers(centres.shape[1], size=count)
-        top = np.floor(self.hardest[columns])
-        rows = np.maximum(top - rng.integers(_SPREAD, size=count), 0).astype(int)
-        if not self.learning:
-            rows = rng.integers(len(centres), size=count)
+        levels, kinds = centres.shape[:2]
+        if self.learning:  # the farther a kind of ground is from the hardest, the more begin on it
+            left = levels - self.hardest
+            columns = rng.choice(kinds, count, p=left / left.sum())
+            top = np.floor(self.hardest[columns])
+            rows = np.maximum(top - rng.integers(_SPREAD, size=count), 0).astype(int)
+        else:
+            columns, rows = rng.integers(kinds, size=count), rng.integers(levels, size=count)
         return centres[rows, columns] + rng.uniform(-1.0, 1.0, (count, 2))
 
     def draw(self, ids: Ids, people: Array) -> Array:
