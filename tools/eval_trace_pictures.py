@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from ..models.crowd.planning import Futures
 from ..models.trace.closed_loop import asked
@@ -110,6 +111,9 @@ def draw_samplers(folder: Path, rows: Sequence[Row]) -> Path:
             for point, *place in zip(points, x, y, strict=True):
                 axis.annotate(str(point["sampler"]).split()[1], place, fontsize=7)
         axis.set_xscale("log")
+        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.set_ylim(bottom=0)
         axis.set_xlabel("CPU seconds a scene; numbers are denoising steps", fontsize=8)
         axis.set_title(title, fontsize=9)
