@@ -96,7 +96,7 @@ def _step_aside(
     cost = 3.0 * under + 0.3 * np.abs(_ASIDE) + 0.3 * np.abs(_ASIDE - before[:, None])
     aside = np.where((under > 0.0).any(1), _ASIDE[cost.argmin(1)], 0.0)
     s["aside"][feet] = aside
-    return aside[:, None] * left
+    return np.asarray(aside[:, None] * left, dtype=np.float64)
 
 
 def _ground_under(goal: Array, heel: Array, tip: Array, shift: Array, height_at: HeightAt) -> Array:
