@@ -15,15 +15,15 @@ HeightAt = Callable[[Array], Array]
 
 HALF_WIDTH = 0.045
 """m: of the sole."""
-_ASIDE = np.array(
-    [-0.03, 0.0, 0.03, 0.06, 0.09]
-)  # m outwards: footholds tried where an edge runs along the sole
-_ACROSS = np.arange(_ASIDE[0] - HALF_WIDTH, _ASIDE[-1] + HALF_WIDTH + 0.01, 0.03)  # m: what they cover
+_GAP = 0.03  # m between the points at which the ground is felt across a sole: a third of its width
+_ASIDE = _GAP * np.arange(-1, 4)  # m outwards: footholds tried where an edge runs along the sole
+_ACROSS = np.arange(_ASIDE[0] - HALF_WIDTH, _ASIDE[-1] + HALF_WIDTH + 0.01, _GAP)  # m: what they cover
 _ALONG = np.array([0.1, 0.5, 0.9])  # shares of the sole's length at which its width is felt
 _SHIFTS = np.linspace(-1.0, 1.0, 7)  # footholds tried on broken ground: shares of the feet's reach
 _SOLE = np.linspace(0.0, 1.0, 5)  # shares of the sole's length at which the ground is felt
 _ROUGH = 0.015  # m: bump under the sole that counts as broken ground
-STEEPEST = 0.9  # rise over run of a ground the foot lies on; steeper is an edge
+STEEPEST = 0.9
+"""Rise over run of a ground the foot lies on; steeper is an edge."""
 
 
 def settle(s: State, feet: tuple[NDArray[np.intp], ...], height_at: HeightAt) -> Array:
@@ -89,7 +89,7 @@ def _step_aside(
     spots = goal[:, None, None, :2] + along[:, :, None, None] * ahead[:, None, None]
     spots = spots + _ACROSS[:, None] * left[:, None, None]  # (k, 3, 8, 2)
     rise = np.abs(np.diff(height_at(spots.reshape(-1, 2)).reshape(spots.shape[:-1]), axis=-1))
-    edge = np.maximum(rise - STEEPEST * 0.03, 0.0)  # (k, 3, 7)
+    edge = np.maximum(rise - STEEPEST * _GAP, 0.0)  # (k, 3, 7)
     under = edge[..., :-2] + edge[..., 1:-1] + edge[..., 2:]  # of each of the footholds tried (k, 3, 5)
     under = np.median(under, axis=1)  # an edge across the sole is none beside it
     before = s["aside"][feet]

@@ -11,10 +11,7 @@ from .courses import Course
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
-_UP, _DOWN = (
-    0.06,
-    0.03,
-)  # levels by which a walk changes where its kind of ground is begun: two thirds may fall
+_UP, _DOWN = 0.06, 0.03  # levels by which a walk moves where its kind of ground begins: two thirds may fall
 _SPREAD = 3  # levels, the hardest and those below, on which people begin
 _TOGETHER = 3.0  # m within which company begins
 _ROOM, _APART = 1.0, 1.2  # m to obstacles, and to each other if there is room for that
