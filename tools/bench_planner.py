@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 AGENTS = (1, 10, 50)
 SPACING = 2.2  # m between people at the start
+ROOM = 0.5  # m from blocks to people; twice that from block to block
 LEAST_SECONDS = 1.0  # each number of people is timed for so long, and at least thrice
 
 
@@ -112,7 +113,10 @@ def time_plans(planner: "TracePlanner", agents: int) -> tuple[float, float]:
 
 
 def street(agents: int, seed: int = 0) -> "tuple[np.ndarray, np.ndarray, Any, list[Any]]":
-    """People on a grid who have walked straight on, blocks between them, and goals four seconds ahead."""
+    """People on a grid who have walked straight on, blocks about them, and goals four seconds ahead.
+
+    Between blocks, and from them to where people were, are and are to be, there is room for a person.
+    """
     import numpy as np
     import torch
 
@@ -130,8 +134,17 @@ def street(agents: int, seed: int = 0) -> "tuple[np.ndarray, np.ndarray, Any, li
     goal = here + 4.0 * forward + rng.normal(0.0, 0.8, (agents, 2))
     cells = int((SPACING * side + 12) / 0.1)
     blocked = np.zeros((cells, cells), bool)
-    for row, column in rng.integers(0, cells - 20, (6, 2)):
-        blocked[row : row + 15, column : column + 12] = True
+    taken = np.concatenate([states[..., :2].reshape(-1, 2), goal])
+    for _ in range(60):
+        row, column = rng.integers(0, cells - 20, 2)
+        corner = 0.1 * np.array([column, row]) - 6.0
+        free = np.maximum(corner - taken, taken - corner - (1.2, 1.5)).max(1).min() > ROOM
+        margin = round(2 * ROOM / 0.1)
+        around = blocked[
+            max(row - margin, 0) : row + 15 + margin, max(column - margin, 0) : column + 12 + margin
+        ]
+        if free and not around.any() and blocked.sum() < 6 * 15 * 12:
+            blocked[row : row + 15, column : column + 12] = True
     wishes = [
         Objective("waypoint", {"goal": torch.from_numpy(goal), "temperature": 0.05}),
         Objective("agent_avoid"),

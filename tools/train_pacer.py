@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _config(args: argparse.Namespace) -> WalkerConfig:
-    config: WalkerConfig = configured(CONFIGS[args.config], args, "worlds", "noise", "discount", "push_force")
+    config: WalkerConfig = configured(CONFIGS[args.config], args, "discount", "push_force")
     if args.style is None:
         return config
     if not 0 <= args.style < 1:

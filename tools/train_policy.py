@@ -33,6 +33,8 @@ def add_policy_arguments(parser: argparse.ArgumentParser, samples: float) -> Non
     )
     parser.add_argument("--threads", type=int, default=2, help="of physics and networks, in each process")
     parser.add_argument("--worlds", type=int, help="simulated at once, by all processes")
+    parser.add_argument("--horizon", type=int, help="control steps of each world per update")
+    parser.add_argument("--minibatch", type=int, help="samples per descent step, of all processes")
     parser.add_argument("--noise", type=float, help="standard deviation of actions")
     parser.add_argument("--rate-floor", type=float, help="least learning rate of the actor")
     parser.add_argument("--seed", type=int, default=0)
@@ -49,7 +51,8 @@ def train(args: argparse.Namespace, make: Callable[[], "PolicyRun"]) -> int:
 
 
 def configured(config: Any, args: argparse.Namespace, *names: str) -> Any:
-    """A policy's configuration with what the command line gives: those names, seed, threads, learning rate."""
+    """A policy's configuration with what the command line gives: of every policy's options, and those names."""
+    names = ("worlds", "horizon", "minibatch", "noise", *names)
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     if args.rate_floor is not None:
         given["rate_bounds"] = (args.rate_floor, config.rate_bounds[1])

@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _config(args: argparse.Namespace) -> TrackerConfig:
-    config: TrackerConfig = configured(CONFIGS[args.config], args, "worlds", "masked", "noise")
+    config: TrackerConfig = configured(CONFIGS[args.config], args, "masked")
     return replace(config, lookahead=tuple(args.lookahead)) if args.lookahead else config
 
 

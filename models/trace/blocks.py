@@ -40,11 +40,31 @@ class StepEmbedding(nn.Module):
 ACTIVATIONS: dict[str, type[nn.Module]] = {"mish": nn.Mish, "silu": nn.SiLU}
 
 
+class TemporalConv(nn.Conv1d):
+    """A convolution over time of pictures (B, C, 1, T) one row high: those may lie channels last, which is faster."""
+
+    def forward(self, input: Tensor) -> Tensor:
+        """(B, inputs, 1, T) to (B, outputs, 1, T / stride)."""
+        stride, padding = (1, *self.stride), (0, *cast("tuple[int, ...]", self.padding))
+        return F.conv2d(input, self.weight.unsqueeze(2), self.bias, stride, padding)
+
+
+class TemporalDoubling(nn.ConvTranspose1d):
+    """Twice as many steps of time, of pictures (B, C, 1, T)."""
+
+    def __init__(self, width: int):
+        super().__init__(width, width, 4, stride=2, padding=1)
+
+    def forward(self, input: Tensor, output_size: list[int] | None = None) -> Tensor:
+        """(B, width, 1, T) to (B, width, 1, 2 T)."""
+        return F.conv_transpose2d(input, self.weight.unsqueeze(2), self.bias, (1, 2), (0, 1))
+
+
 class ConvBlock(nn.Sequential):
     """Temporal convolution, GroupNorm, activation."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int, activation: str):
-        conv = nn.Conv1d(inputs, outputs, kernel, padding=kernel // 2)
+        conv = TemporalConv(inputs, outputs, kernel, padding=kernel // 2)
         super().__init__(conv, nn.GroupNorm(8, outputs), ACTIVATIONS[activation]())
 
 
@@ -56,13 +76,11 @@ class ResidualBlock(nn.Module):
         self.first = ConvBlock(inputs, outputs, kernel, activation)
         self.second = ConvBlock(outputs, outputs, kernel, activation)
         self.project = nn.Linear(condition, outputs)
-        self.skip = nn.Conv1d(inputs, outputs, 1) if inputs != outputs else nn.Identity()
+        self.skip = TemporalConv(inputs, outputs, 1) if inputs != outputs else nn.Identity()
 
     def forward(self, x: Tensor, shift: Tensor) -> Tensor:
-        """(B, inputs, T) and the projected condition (B, outputs) to (B, outputs, T)."""
-        hidden = self.first(x)
-        # Written out over time first: bfloat16 adds a broadcast several times slower than a whole tensor.
-        return self.second(hidden + shift[..., None].expand_as(hidden).contiguous()) + self.skip(x)
+        """(B, inputs, 1, T) and the projected condition (B, outputs) to (B, outputs, 1, T)."""
+        return self.second(self.first(x) + shift[..., None, None]) + self.skip(x)
 
 
 class ResidualPair(nn.ModuleList):
@@ -112,18 +130,19 @@ class TemporalUNet(nn.Module):
 
         self.activation = ACTIVATIONS[activation]()
         self.down = nn.ModuleList(pair(i, o) for i, o in zip((inputs, *widths[:-1]), widths, strict=True))
-        self.halvings = nn.ModuleList(nn.Conv1d(w, w, 3, stride=2, padding=1) for w in widths[:-1])
+        self.halvings = nn.ModuleList(TemporalConv(w, w, 3, stride=2, padding=1) for w in widths[:-1])
         self.middle = pair(widths[-1], widths[-1])
         levels = list(zip(widths[1:], widths[:-1], strict=True))[::-1]
         self.up = nn.ModuleList(pair(2 * i, o) for i, o in levels)
-        self.doublings = nn.ModuleList(nn.ConvTranspose1d(o, o, 4, stride=2, padding=1) for _, o in levels)
+        self.doublings = nn.ModuleList(TemporalDoubling(o) for _, o in levels)
+        self._projection: tuple[Tensor, Tensor] | None = None
         last = ConvBlock(widths[0], widths[0], kernel, activation)
-        self.head = nn.Sequential(last, nn.Conv1d(widths[0], outputs, 1))
+        self.head = nn.Sequential(last, TemporalConv(widths[0], outputs, 1))
 
     def forward(self, x: Tensor, condition: Tensor) -> Tensor:
         """(B, T, inputs), (B, C) to (B, T, outputs); T must be a multiple of fold * 2^(levels - 1)."""
         frames = x.shape[1]
-        x = x.reshape(len(x), frames // self.fold, -1).transpose(1, 2)
+        x = x.reshape(len(x), frames // self.fold, -1).transpose(1, 2).unsqueeze(2)  # channels last
         shifts = self._project(self.activation(condition))
         skips: list[Tensor] = []
         for level, blocks in enumerate(self.down):
@@ -134,11 +153,26 @@ class TemporalUNet(nn.Module):
         x = self.middle(x, shifts)
         for blocks, doubling in zip(self.up, self.doublings, strict=True):
             x = doubling(blocks(torch.cat([x, skips.pop()], 1), shifts))
-        return self.head(x).transpose(1, 2).reshape(len(x), frames, -1)
+        return self.head(x).squeeze(2).transpose(1, 2).reshape(len(x), frames, -1)
+
+    def prepare(self) -> None:
+        """Lay the weights out as inference reads them fastest; they must not change any more."""
+        for layer in self.modules():
+            if isinstance(layer, (TemporalConv, TemporalDoubling)):  # channels last
+                layer.weight.data = layer.weight.data.transpose(1, 2).contiguous().transpose(1, 2)
+        self._projection = self._stacked()
 
     def _project(self, condition: Tensor) -> Iterator[Tensor]:
         """What every layer adds, in the order of the layers: one product instead of one a layer."""
+        weight, bias = self._projection or self._stacked()
+        sizes = [layer.out_features for layer in self._projections()]
+        return iter(F.linear(condition, weight, bias).split(sizes, 1))
+
+    def _stacked(self) -> tuple[Tensor, Tensor]:
+        """Weights and biases of all projections of the condition."""
+        layers = self._projections()
+        return torch.cat([layer.weight for layer in layers]), torch.cat([layer.bias for layer in layers])
+
+    def _projections(self) -> list[nn.Linear]:
         pairs = cast("Sequence[ResidualPair]", (*self.down, self.middle, *self.up))
-        layers = [cast(nn.Linear, block.project) for pair in pairs for block in pair]
-        weight, bias = (torch.cat([getattr(layer, name) for layer in layers]) for name in ("weight", "bias"))
-        return iter(F.linear(condition, weight, bias).split([layer.out_features for layer in layers], 1))
+        return [cast(nn.Linear, block.project) for pair in pairs for block in pair]

@@ -10,6 +10,9 @@ from torch import Tensor
 from . import guidance_losses  # noqa: F401  registers the objectives
 from .objectives import Future, Objective
 
+SAFE = 1e-3
+"""A loss of safety up to this is none: a millimetre in an obstacle, a thousandth of a disc in another."""
+
 
 class GuidanceError(ValueError):
     """A guidance setting is out of range."""
@@ -76,6 +79,8 @@ class Guidance:
 
 _LEAST_PACE = 0.2  # careful steps shorter than this share of a whole one are not worth taking
 _GAIN = 0.9  # of a loss: a careful step that leaves more is the last one of its length
+_LARGE_GAIN = 0.35  # a careful step that leaves less may be twice as long next time
+_LONGEST_PACE = 2.0
 _HARM = 100.0  # weight of what overlaps for real when a sample is chosen anew
 _SOON = 1.5  # s, in which harm counts ten times
 
@@ -124,8 +129,9 @@ def guide_direct(
                 with torch.enable_grad():
                     actions = moved.detach().requires_grad_()
                     future = future_of(actions)
-                    left = wish.loss(future).detach()
-                pace[i] = torch.where(left < _GAIN * loss.detach(), pace[i], pace[i] / 4)
+                with torch.no_grad():
+                    left = wish.loss(future)
+                pace[i] = _paced(pace[i], left / loss.detach().clamp(min=1e-12))
                 better = left < loss.detach()
                 if not better.all():
                     future = None
@@ -134,6 +140,15 @@ def guide_direct(
         if clean is before:
             break
     return clean.detach()
+
+
+def _paced(pace: Tensor, left: Tensor) -> Tensor:
+    """How long (A, M) the next careful step is, by the share of the loss that was left after the last.
+
+    Of squared distances a Polyak step leaves a quarter, and one of twice the length nothing.
+    """
+    pace = torch.where(left < _GAIN, pace, pace / 4)
+    return torch.where(left < _LARGE_GAIN, (2 * pace).clamp(max=_LONGEST_PACE), pace)
 
 
 def gradient_of(loss: Tensor, actions: Tensor) -> Tensor:
@@ -170,8 +185,30 @@ def harm(objectives: Sequence[Objective], future: Future) -> Tensor:
     for wish in objectives:
         if wish.buffered:
             bare = replace(wish, parameters=wish.parameters | {"buffer": 0.0})
-            total = total + (bare.loss(future) + 9 * bare.loss(soon)) * (wish.share > 0)
+            if (loss := bare.loss(future)).any():
+                total = total + (loss + 9 * bare.loss(soon)) * (wish.share > 0)
     return total
+
+
+def judge(objectives: Sequence[Objective], future: Future) -> dict[str, Tensor]:
+    """Losses (A, M) by label."""
+    return {label: wish.loss(future) for label, wish in labelled(objectives)}
+
+
+def where_no_worse(
+    best: Tensor, before: Future, future_of: FutureOf, objectives: Sequence[Objective]
+) -> tuple[Future, Tensor]:
+    """Of polished actions (A, 1, T, 2) what harms nobody more than before: the future, and (A,) who keeps theirs."""
+    kept = torch.ones(len(best), dtype=torch.bool)
+    with torch.no_grad():
+        bound, after = harm(objectives, before) + SAFE, future_of(best)
+        while True:
+            states = torch.where(kept[:, None, None, None], after.states, before.states)
+            mixed = replace(after, states=states)
+            worse = kept & (harm(objectives, mixed) > bound)[:, 0]
+            if not worse.any():
+                return mixed, kept
+            kept &= ~worse
 
 
 def reconsider(

@@ -1,6 +1,7 @@
 """The objectives of TRACE (Rempe et al. 2023, app. A.2.2) and a few more."""
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -25,13 +26,13 @@ def agent_avoid(future: Future, buffer: Tensor | float = 0.2) -> Tensor:
         future: Of one scene.
         buffer: Social distance that is kept beyond touching [m] (app. C.5); of two people (A,) the mean.
     """
-    agents, samples, steps = future.states.shape[:3]
+    agents, samples = future.states.shape[:2]
     if agents == 1:
         return future.states.new_zeros(1, samples)
     distance, given = per_agent(buffer, agents)
     kept = future.radius + distance[:, 0] / 2
     p = future.positions
-    with torch.no_grad():  # few ever touch: only they enter the graph
+    with torch.no_grad():
         low, high = p.amin((1, 2)), p.amax((1, 2))
         gap = torch.relu(torch.maximum(low[:, None] - high, low - high[:, None]))  # between bounding boxes
         i, j = (gap.norm(dim=-1) < kept[:, None] + kept).triu(1).nonzero().unbind(1)
@@ -41,13 +42,40 @@ def agent_avoid(future: Future, buffer: Tensor | float = 0.2) -> Tensor:
         reach = (kept[i] + kept[j]).square()[:, None, None]
         pair, sample, time = (square < reach).nonzero().unbind(1)
         i, j = i[pair], j[pair]
-    flat = p.reshape(-1, 2)
-    one, other = (flat.index_select(0, (k * samples + sample) * steps + time) for k in (i, j))
-    apart = ((one - other).square().sum(-1) + 1e-8).sqrt()
-    overlap = torch.relu(1 - apart / (kept[i] + kept[j]))
-    total = overlap.new_zeros(agents * samples)
-    total = total.index_add(0, i * samples + sample, overlap).index_add(0, j * samples + sample, overlap)
-    return total.reshape(agents, samples) * given
+    total = _Overlaps.apply(p, i * samples + sample, j * samples + sample, time, kept[i] + kept[j])
+    return total if given.all() else total * given
+
+
+class _Overlaps(torch.autograd.Function):
+    """Sums (A, M) of 1 - d / reach over pairs that touch, with the gradient written out; see `Future.sloped`.
+
+    Both of a pair have the loss, and each moves both: this is what that function leaves out.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any, positions: Tensor, one: Tensor, other: Tensor, time: Tensor, reach: Tensor
+    ) -> Tensor:
+        """Positions (A, M, T, 2); of P pairs two rows of A * M each, the time and the reach (P,)."""
+        agents, samples, steps = positions.shape[:3]
+        first, second = one * steps + time, other * steps + time
+        flat = positions.reshape(-1, 2)
+        apart = flat.index_select(0, first) - flat.index_select(0, second)
+        distance = (apart.square().sum(-1) + 1e-8).sqrt()
+        overlap = torch.relu(1 - distance / reach)
+        ctx.save_for_backward(one, other, first, second, apart / (distance * reach)[:, None])
+        ctx.shape = positions.shape
+        total = overlap.new_zeros(agents * samples)
+        return total.index_add_(0, one, overlap).index_add_(0, other, overlap).view(agents, samples)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None, None]:
+        one, other, first, second, direction = ctx.saved_tensors
+        grad = grads[0].reshape(-1)
+        push = direction * (grad.index_select(0, one) + grad.index_select(0, other))[:, None]
+        slope = push.new_zeros(ctx.shape[:3].numel(), 2)
+        slope.index_add_(0, first, -push).index_add_(0, second, push)
+        return slope.view(ctx.shape), None, None, None, None
 
 
 @objective("obstacle_avoid", safety=True)
@@ -62,15 +90,20 @@ def obstacle_avoid(future: Future, buffer: Tensor | float = 0.0) -> Tensor:
         future: Of one scene.
         buffer: Distance that is kept beyond touching [m], for all or (A,).
     """
-    distance, given = per_agent(buffer, len(future.states))
-    reach = (future.radius[:, None] + distance)[..., None]
-    heading, speed = future.states[..., 2:].detach().unbind(-1)
-    forward = torch.stack([heading.cos(), heading.sin()], -1)
-    here = future.positions.detach()
-    moves = future.positions - here  # zero, but for its gradient
-    moves = moves - (1 - _AHEAD) * (moves * forward).sum(-1, keepdim=True) * forward
-    depth = torch.relu(reach - future.clearance(here + moves))
-    return (depth * (speed + _AT_REST)).sum(-1) * given
+    recorded = torch.is_grad_enabled()
+    with torch.no_grad():
+        distance, given = per_agent(buffer, len(future.states))
+        reach = (future.radius[:, None] + distance)[..., None]
+        clearance, away = future.clearance_and_way_out(future.positions)
+        depth = torch.relu(reach - clearance) * given[..., None]  # (A, M, T)
+        heading, speed = future.states[..., 2:].unbind(-1)
+        loss = (depth * (speed + _AT_REST)).sum(-1)
+        if not (recorded and depth.any()):
+            return loss
+        forward = torch.stack([heading.cos(), heading.sin()], -1)
+        away = away - (1 - _AHEAD) * (away * forward).sum(-1, keepdim=True) * forward
+        slope = away * ((speed + _AT_REST) * (depth > 0)).neg()[..., None]
+    return future.sloped(loss, slope)
 
 
 @objective("obstacle_avoid_points", safety=True)
@@ -131,9 +164,18 @@ def waypoint(future: Future, goal: Tensor, temperature: float = 1.0) -> Tensor:
         temperature: Of the soft minimum over time [m]; 1 is the paper's, towards 0 only the nearest state
             counts.
     """
-    distance, given = distance_to(future, goal)
-    share = torch.softmax(-distance / temperature, -1)
-    return (share * distance.square()).sum(-1) * given
+    recorded = torch.is_grad_enabled()
+    with torch.no_grad():
+        goals, given = per_agent(goal, len(future.states), 1)
+        offset = future.positions - goals[:, :, None]
+        square = offset.square().sum(-1)
+        distance = square.sqrt()
+        share = torch.softmax(-distance / temperature, -1) * given[..., None]
+        loss = (share * square).sum(-1)
+        if not recorded:
+            return loss
+        pull = share * (2 + (loss[..., None] - square) / (temperature * distance).clamp(min=1e-9))
+    return future.sloped(loss, pull[..., None] * offset)
 
 
 @objective("global_waypoint_at")

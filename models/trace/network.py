@@ -13,6 +13,8 @@ from .diffusion import CosineSchedule
 from .dynamics import rollout
 from .map_encoder import MAP_ENCODERS, MapFeatures
 
+_MANY = 5  # rows from which on bfloat16 pays
+
 
 @dataclass(frozen=True)
 class Encoding:
@@ -131,6 +133,7 @@ class Trace(ActionModel):
         condition = config.context_width + config.step_width
         shape = (config.widths, condition, config.kernel, config.activation, config.fold)
         self.unet = TemporalUNet(inputs, 2, *shape)
+        self.reduced_unet: TemporalUNet | None = None
         signal = CosineSchedule(config.diffusion_steps).alphas_cumprod
         self.register_buffer("signal", signal, persistent=False)
 
@@ -171,8 +174,9 @@ class Trace(ActionModel):
             read = (ahead - self.trajectory_mean) / self.trajectory_std * share
             queries += [read, torch.full_like(read[..., :1], share)]
         condition = torch.cat([encoding.condition, self.step(k)], -1)
-        kind = next(self.unet.parameters()).dtype
-        out = self.unet(torch.cat([normal, *queries], -1).to(kind), condition.to(kind)).to(noisy.dtype)
+        unet = self.reduced_unet if self.reduced_unet is not None and len(noisy) >= _MANY else self.unet
+        kind = torch.bfloat16 if unet is self.reduced_unet else noisy.dtype
+        out = unet(torch.cat([normal, *queries], -1).to(kind), condition.to(kind)).to(noisy.dtype)
         a, skip = self.signal[k][:, None, None], self.config.skip
         return (skip * a.sqrt() * noisy + (1 - a) * out) / (skip * a + 1 - a)
 
@@ -204,10 +208,17 @@ class Trace(ActionModel):
         y = now[..., 1, None] + sin * path[..., 0] + cos * path[..., 1]
         return torch.stack([x, y, present[..., None].expand_as(x)], -1)
 
-    def reduced(self) -> "Trace":
-        """A copy whose U-Net computes in bfloat16, for inference; everything else stays as it is."""
-        copy = deepcopy(self)
-        copy.unet.bfloat16()
+    def prepared(self, reduced: bool = True) -> "Trace":
+        """A copy for inference; it must not be trained any more.
+
+        Args:
+            reduced: The U-Net computes in bfloat16, unless rows are so few that this is slower.
+        """
+        copy = deepcopy(self).requires_grad_(False)
+        copy.unet.prepare()
+        if reduced:
+            copy.reduced_unet = deepcopy(self.unet).requires_grad_(False).bfloat16()
+            copy.reduced_unet.prepare()
         return copy
 
 

@@ -59,8 +59,41 @@ class Future:
         if self.maps is None:
             return torch.full_like(points[..., 0], 1e3)
         flat = points.reshape(1, -1, 2)
-        scene = torch.tensor([self.scene])
-        return self.maps.layer("obstacle").sample(flat, scene).reshape(points.shape[:-1])
+        return self.maps.layer("obstacle").sample(flat, self._scene).reshape(points.shape[:-1])
+
+    def clearance_and_way_out(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """The same without a graph, and its gradient (..., 2): away from the obstacles, zero without a map."""
+        if self.maps is None:
+            return self.clearance(points.detach()), torch.zeros_like(points)
+        flat = points.reshape(1, -1, 2)
+        distance, slope = self.maps.layer("obstacle").sample_slopes(flat, self._scene)
+        return distance.reshape(points.shape[:-1]), slope.reshape(points.shape)
+
+    @property
+    def _scene(self) -> Tensor:
+        return torch.tensor([self.scene])
+
+    def sloped(self, loss: Tensor, slope: Tensor) -> Tensor:
+        """A loss (A, M) that carries its gradient (A, M, T, 2) with respect to the positions.
+
+        For losses that write their gradient out: of tensors this small recording and replaying costs more than
+        computing. There are no second derivatives, and none with respect to others' positions.
+        """
+        return _Sloped.apply(self.positions, loss, slope)
+
+
+class _Sloped(torch.autograd.Function):
+    """The loss as it is; backwards the slope that comes with it."""
+
+    @staticmethod
+    def forward(ctx: Any, positions: Tensor, loss: Tensor, slope: Tensor) -> Tensor:
+        ctx.save_for_backward(slope)
+        return loss
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
+        (slope,) = ctx.saved_tensors
+        return grads[0][..., None, None] * slope, None, None
 
 
 Loss = Callable[..., Tensor]

@@ -14,15 +14,16 @@ from .context import Context, scene_context
 from .diffusion import DDIM, DDPM, CosineSchedule, DPMSolver2M, Solver
 from .dynamics import rollout
 from .guidance import (
+    SAFE,
     FutureOf,
     Guidance,
     choose_samples,
     gradient_of,
     guide_direct,
-    harm,
-    labelled,
+    judge,
     reconsider,
     total_loss,
+    where_no_worse,
 )
 from .network import Encoding, Trace
 from .objectives import Future, Objective, ObjectiveError
@@ -31,8 +32,6 @@ from .weights import load_model
 
 WEIGHTS = Path(__file__).parent.parent / "weights" / "trace_compact.safetensors"
 
-SAFE = 1e-3
-"""A loss of safety up to this is none: a millimetre in an obstacle, a thousandth of a disc in another."""
 BEYOND = 5.0
 """Goals may lie so far outside the map [m]."""
 
@@ -108,11 +107,9 @@ class TracePlanner:
     """Whether chosen samples may get the last steps of mode `direct`."""
 
     def __init__(self, trace: Trace, sampling: Sampling | None = None, guidance: Guidance | None = None):
-        self.trace, self.config = trace, trace.config
-        self.schedule = CosineSchedule(trace.config.diffusion_steps)
         self.sampling, self.guidance = sampling or Sampling(), guidance or Guidance()
-        if self.sampling.reduced:
-            self.trace = trace.reduced()
+        self.trace, self.config = trace.prepared(self.sampling.reduced), trace.config
+        self.schedule = CosineSchedule(trace.config.diffusion_steps)
         self.polishes = self.guidance.mode == "direct" and self.guidance.polish > 0
 
     @classmethod
@@ -195,16 +192,17 @@ class TracePlanner:
         start = None if previous is None else self._shifted(previous, ids, elapsed)
         actions = self.sample(context, future_of, objectives, generator, start)
         rows = torch.arange(len(context))
-        future, losses = _judge(actions, future_of, objectives)
+        with torch.no_grad():
+            future = future_of(actions)
+            losses = judge(objectives, future)
         chosen = choose_samples(losses, objectives) if objectives else torch.zeros_like(rows)
         if objectives and self.polishes:
-            before = actions[rows, chosen][:, None]
-            best = self._polish(before, context, future_of, objectives)
-            best = _where_no_worse(best, before, future_of, objectives)
-            actions[rows, chosen] = best[:, 0]
-            better, best_losses = _judge(best, future_of, objectives)
+            before = replace(future, states=future.states[rows, chosen][:, None])
+            best = self._polish(actions[rows, chosen][:, None], context, future_of, objectives)
+            better, kept = where_no_worse(best, before, future_of, objectives)
+            actions[rows[kept], chosen[kept]] = best[kept, 0]
             future.states[rows, chosen] = better.states[:, 0]
-            for label, loss in best_losses.items():
+            for label, loss in judge(objectives, better).items():
                 losses[label][rows, chosen] = loss[:, 0]
             chosen = reconsider(chosen, losses, objectives, future, SAFE)
         states = future.states.double().numpy()
@@ -354,29 +352,6 @@ class TracePlanner:
             chosen = previous.actions[old, torch.as_tensor(previous.chosen)[old]]  # (known, horizon, 2)
             start[rows, : horizon - elapsed] = chosen[:, elapsed:]
         return start[:, None].expand(-1, self.sampling.samples, -1, -1)
-
-
-def _judge(
-    actions: Tensor, future_of: FutureOf, objectives: Sequence[Objective]
-) -> tuple[Future, dict[str, Tensor]]:
-    """Futures of actions (A, M, horizon, 2), and their losses (A, M) by label."""
-    with torch.no_grad():
-        future = future_of(actions)
-        return future, {label: wish.loss(future) for label, wish in labelled(objectives)}
-
-
-def _where_no_worse(
-    best: Tensor, before: Tensor, future_of: FutureOf, objectives: Sequence[Objective]
-) -> Tensor:
-    """The polished actions (A, 1, horizon, 2), but as before where polishing would do harm to somebody."""
-    bound = harm(objectives, future_of(before)) + SAFE
-    kept = torch.ones_like(bound, dtype=torch.bool)
-    while True:
-        mixed = torch.where(kept[..., None, None], best, before)
-        worse = kept & (harm(objectives, future_of(mixed)) > bound)
-        if not worse.any():
-            return mixed
-        kept &= ~worse
 
 
 def check_goals(objectives: Sequence[Objective], maps: SceneMaps) -> None:

@@ -111,6 +111,27 @@ def test_waypoint_equals_eq_12():
     assert sharp.item() == pytest.approx(1.0, abs=0.02)
 
 
+def test_written_out_gradients_equal_recorded_ones():
+    future = walkers([[0, 0], [0.5, 0.2], [0.3, -0.4]], [[1, 0], [1.1, 0], [0.9, 0.1]], samples=2)
+    weights = torch.tensor([[1.0, 2.0], [0.5, 0.0], [3.0, 1.0]])
+
+    def check(written, recorded):
+        assert torch.allclose(written, recorded, rtol=1e-4)
+        a, b = (
+            torch.autograd.grad((weights * x).sum(), future.states, retain_graph=True)[0]
+            for x in (written, recorded)
+        )
+        assert torch.allclose(a, b, rtol=1e-3, atol=1e-5)
+
+    goal = torch.tensor([[2.0, 1.0], [1.0, -1.0], [3.0, 0.0]])
+    distance = (future.positions - goal[:, None, None]).norm(dim=-1)
+    share = torch.softmax(-distance / 0.5, -1)
+    check(loss(future, "waypoint", goal=goal, temperature=0.5), (share * distance.square()).sum(-1))
+    apart = (future.positions[:, None] - future.positions[None]).square().sum(-1) + 1e-8
+    overlap = torch.relu(1 - apart.sqrt() / 1.0) * (1 - torch.eye(3))[..., None, None]
+    check(loss(future, "agent_avoid"), overlap.sum((1, 3)))
+
+
 def test_agents_without_a_goal_are_left_alone():
     future = walkers([[0, 0], [0, 5]], [[1, 0], [1, 0]])
     goals = torch.tensor([[2.0, 1.0], [NAN, NAN]])

@@ -42,6 +42,16 @@ def test_gradient_points_away_from_the_obstacle():
     assert torch.allclose(points.grad[0], torch.tensor([[1.0, 0.0], [0.0, -1.0]]), atol=0.1)
 
 
+def test_slopes_are_those_of_the_distance_and_end_where_the_map_ends():
+    maps, scene = disc_map(), torch.tensor([0])
+    points = torch.rand(1, 300, 2) * 6 - 3
+    distance, slopes = (x[0, :, 0] for x in maps.sample_slopes(points, scene))
+    assert torch.equal(distance, maps.sample(points, scene)[0, :, 0])
+    radius = points[0].norm(dim=1, keepdim=True)
+    assert (slopes - points[0] / radius).norm(dim=1)[radius[:, 0] > 0.5].mean() < 0.1
+    assert maps.sample_slopes(torch.tensor([[[9.0, 0.0]]]), scene)[1].abs().max() == 0
+
+
 def test_scenes_do_not_mix():
     maps = SceneMaps(
         torch.tensor([1.0, 2.0, 3.0])[:, None, None, None].expand(3, 1, 4, 5).contiguous(),
