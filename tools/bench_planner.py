@@ -74,14 +74,14 @@ def measure(
     import torch
 
     from ..models.trace.guidance import Guidance
-    from ..models.trace.planner import WEIGHTS, Sampling, TracePlanner
+    from ..models.trace.planner import SHIPPED, WEIGHTS, TracePlanner
     from ..models.trace.weights import load_model
 
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
         trace, _ = load_model(weights or WEIGHTS)
-        sampling = Sampling(samples=samples, steps=steps or Sampling().steps)
+        sampling = replace(SHIPPED, samples=samples, steps=steps or SHIPPED.steps)
         ours = TracePlanner(trace, sampling)
         figures: dict[str, Any] = {"plan_ms": {}, "plan_cpu_ms": {}}
         for count in agents:

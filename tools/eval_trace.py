@@ -23,7 +23,7 @@ from ..models.trace.evaluation import (
 )
 from ..models.trace.guidance import Guidance
 from ..models.trace.network import Trace
-from ..models.trace.planner import WEIGHTS, Sampling, TracePlanner
+from ..models.trace.planner import SHIPPED, WEIGHTS, Sampling, TracePlanner
 from ..models.trace.vae import WEIGHTS as VAE_WEIGHTS
 from ..models.trace.vae import VaePlanner, load_vae
 from ..models.trace.weights import load_model
@@ -35,12 +35,12 @@ from .results import write_section
 
 QUICK_SCENES = 4
 WORKERS = os.cpu_count() or 1
-UNGUIDED = Sampling(solver="ddpm", samples=3, context_weight=0.5, temperature=1.0)
+UNGUIDED = Sampling(solver="ddpm", samples=3, context_weight=0.5)
 """As the paper's: the unguided row of its table 1 is that of w = 0.5 in its table 7."""
-FEW_STEPS = Sampling(samples=3)
-SEVERAL = Sampling(samples=20)
-SLOW = Sampling(solver="ddim", steps=20, samples=20, temperature=1.0)
-FAITHFUL = Sampling(solver="sde", steps=20, samples=20, context_weight=0.5, temperature=1.0)
+FEW_STEPS = dataclasses.replace(SHIPPED, samples=3)
+SEVERAL = dataclasses.replace(SHIPPED, samples=20)
+SLOW = Sampling(solver="ddim", steps=20, samples=20)
+FAITHFUL = Sampling(solver="sde", steps=20, samples=20, context_weight=0.5)
 """Of tables 5 and 6: 20 samples of all 100 steps would take a quarter of an hour a row."""
 METHODS: dict[str, tuple[Sampling, Guidance]] = {
     "noisy": (SLOW, Guidance(mode="noisy")),
@@ -313,10 +313,9 @@ def table_samplers(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) 
     reference = None
     for solver, steps in SAMPLERS:
         for guide in ("none", "all"):
-            shipped = FEW_STEPS if guide == "none" else SEVERAL
-            sampling = dataclasses.replace(shipped, solver=solver, steps=steps)  # pyright: ignore[reportArgumentType]
-            if solver != shipped.solver or steps > FEW:
-                sampling = dataclasses.replace(sampling, power=1.0, temperature=1.0)
+            base = SHIPPED if solver == SHIPPED.solver and steps <= FEW else Sampling()
+            samples = (FEW_STEPS if guide == "none" else SEVERAL).samples
+            sampling = dataclasses.replace(base, solver=solver, steps=steps, samples=samples)  # pyright: ignore[reportArgumentType]
             planner = TracePlanner(trace, sampling, Guidance(mode="direct"))
             choice = "every" if guide == "none" else "guide"
             report = evaluate_all(scenes, planner, GUIDES[guide], choice)

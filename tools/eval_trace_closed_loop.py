@@ -14,7 +14,7 @@ from ..models.trace.config import TraceConfig
 from ..models.trace.crowd_file import Crowds
 from ..models.trace.guidance import Guidance
 from ..models.trace.network import Trace
-from ..models.trace.planner import Sampling, TracePlanner
+from ..models.trace.planner import SHIPPED, Sampling, TracePlanner
 from ..models.trace.rollouts import Rollout, rollouts
 from ..models.trace.vae import WEIGHTS as VAE_WEIGHTS
 from ..models.trace.vae import VaePlanner, load_vae
@@ -29,11 +29,13 @@ SAMPLES = 10  # app. C.5
 VAE_ITERATIONS = 200  # app. C.4
 STRENGTH = {"waypoint": 0.2, "perturbed": 0.2, "groups": 1.0}
 """Of guidance: waypoints gently, as a second later there is another plan (chosen on validation scenes)."""
+_FEW_STEPS = dataclasses.replace(SHIPPED, steps=8, samples=SAMPLES)
+_MANY_STEPS = Sampling(solver="ddim", steps=20, samples=SAMPLES)
 METHODS: dict[str, tuple[Sampling, Guidance]] = {
-    "filter": (Sampling(steps=8, samples=SAMPLES), Guidance(strength=0.0, inner_steps=1, polish=0)),
-    "noisy": (Sampling(solver="ddim", steps=20, samples=SAMPLES, temperature=1.0), Guidance(mode="noisy")),
-    "clean": (Sampling(solver="ddim", steps=20, samples=SAMPLES, temperature=1.0), Guidance(mode="clean")),
-    "direct": (Sampling(steps=8, samples=SAMPLES), Guidance(mode="direct", inner_steps=1, polish=0)),
+    "filter": (_FEW_STEPS, Guidance(strength=0.0, inner_steps=1, polish=0)),
+    "noisy": (_MANY_STEPS, Guidance(mode="noisy")),
+    "clean": (_MANY_STEPS, Guidance(mode="clean")),
+    "direct": (_FEW_STEPS, Guidance(mode="direct", inner_steps=1, polish=0)),
 }
 """As in the other tables, with fewer samples and steps of guidance."""
 GUIDES = ("waypoint", "perturbed", "groups")

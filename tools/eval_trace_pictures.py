@@ -29,7 +29,7 @@ TITLES = {
     "waypoint": "waypoint",
     "all": "waypoint and both avoidances",
 }
-MANY_STEPS = Sampling(solver="dpm", steps=20, samples=20, temperature=1.0)
+MANY_STEPS = Sampling(solver="dpm", steps=20, samples=20)
 
 
 def draw_guides(folder: Path, planner: TracePlanner, scenes: TrialScenes) -> Path:

@@ -38,7 +38,7 @@ BEYOND = 5.0
 
 @dataclass(frozen=True)
 class Sampling:
-    """How futures are drawn.
+    """How futures are drawn; few steps want `SHIPPED`.
 
     Attributes:
         solver: `dpm` (second order), `ddim` (first order), `sde` (first order with fresh noise at every step)
@@ -55,11 +55,11 @@ class Sampling:
     """
 
     solver: Literal["dpm", "ddim", "sde", "ddpm"] = "dpm"
-    steps: int = 4
-    power: float = 1.35
+    steps: int = 8
+    power: float = 1.0
     samples: int = 10
     context_weight: float = 0.0
-    temperature: float = 1.05
+    temperature: float = 1.0
     reduced: bool = True
     keep: float = 0.6
 
@@ -81,6 +81,10 @@ class Sampling:
         raise ValueError(f"there is no solver {self.solver!r}; there are dpm, ddim, sde and ddpm")
 
 
+SHIPPED = Sampling(steps=4, power=1.35, temperature=1.05)
+"""What a planner uses unless told otherwise: as few steps as still lead people where they are asked to go."""
+
+
 @dataclass(frozen=True)
 class TraceFutures(Futures):
     """Futures and what the next plan starts with.
@@ -99,7 +103,7 @@ class TracePlanner:
 
     Args:
         trace: Trained denoiser.
-        sampling: How futures are drawn.
+        sampling: How futures are drawn; `SHIPPED` by default.
         guidance: How objectives bend them.
     """
 
@@ -107,7 +111,7 @@ class TracePlanner:
     """Whether chosen samples may get the last steps of mode `direct`."""
 
     def __init__(self, trace: Trace, sampling: Sampling | None = None, guidance: Guidance | None = None):
-        self.sampling, self.guidance = sampling or Sampling(), guidance or Guidance()
+        self.sampling, self.guidance = sampling or SHIPPED, guidance or Guidance()
         self.trace, self.config = trace.prepared(self.sampling.reduced), trace.config
         self.schedule = CosineSchedule(trace.config.diffusion_steps)
         self.polishes = self.guidance.mode == "direct" and self.guidance.polish > 0

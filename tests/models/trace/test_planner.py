@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -7,7 +8,7 @@ import torch
 from footfall.models.trace.diffusion import CosineSchedule
 from footfall.models.trace.guidance import Guidance
 from footfall.models.trace.objectives import Objective, ObjectiveError
-from footfall.models.trace.planner import WEIGHTS, Sampling, TracePlanner
+from footfall.models.trace.planner import SHIPPED, WEIGHTS, Sampling, TracePlanner
 from footfall.models.trace.scene_map import SceneMaps
 from footfall.models.trace.weights import load_model
 
@@ -95,7 +96,7 @@ def test_a_plan_of_many_agents_equals_plans_of_few(trace):
     wishes = [Objective("target_speed", {"speed": 1.8})]
     # Every step of guidance lets rounding grow; after those of polishing it is millimetres.
     for asked, polish, tolerance in (([], 0, 1e-5), (wishes, 0, 1e-3), (wishes, 6, 1e-2)):
-        planner = TracePlanner(trace, Sampling(samples=4, reduced=False), Guidance(polish=polish))
+        planner = TracePlanner(trace, replace(SHIPPED, samples=4, reduced=False), Guidance(polish=polish))
         both = planner.plan(states, size, objectives=asked)
         alone = planner.plan(states[:1], size[:1], objectives=asked)
         assert np.allclose(both.positions[0], alone.positions[0], rtol=0, atol=tolerance)
