@@ -128,6 +128,9 @@ CONFIGS: dict[str, WalkerConfig] = {
         map=COMPACT_MAP,
         company=4,
         noise=0.12,
+        horizon=64,
+        minibatch=4096,
+        discount=0.98,
         first_difficulty=0.5,
         push_interval=8.0,
         widen_below=0.045,
@@ -149,5 +152,6 @@ CONFIGS: dict[str, WalkerConfig] = {
     ),
 }
 """``compact``: level ground, half of it with obstacles.
-``compact_terrain``: goes on from ``compact`` on slopes and stairs.
+``compact_terrain``: goes on from ``compact`` on slopes and stairs; as falls are rare by then, it looks at four times
+as many samples before it changes anything, and farther ahead.
 ``paper``: PACER's body, networks, numbers of bodies and PPO settings (app. B)."""
