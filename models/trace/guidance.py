@@ -195,19 +195,32 @@ def judge(objectives: Sequence[Objective], future: Future) -> dict[str, Tensor]:
     return {label: wish.loss(future) for label, wish in labelled(objectives)}
 
 
+def _safe(objectives: Sequence[Objective], losses: dict[str, Tensor], met: float) -> bool:
+    """Whether not even the room beyond touching is taken by anybody: then there is no `harm` either."""
+    return not any((losses[label] > met).any() for label, wish in labelled(objectives) if wish.buffered)
+
+
 def where_no_worse(
     best: Tensor, before: Future, future_of: FutureOf, objectives: Sequence[Objective]
-) -> tuple[Future, Tensor]:
-    """Of polished actions (A, 1, T, 2) what harms nobody more than before: the future, and (A,) who keeps theirs."""
+) -> tuple[Future, dict[str, Tensor], Tensor]:
+    """Of polished actions (A, 1, T, 2) what harms nobody more than before.
+
+    Returns:
+        The future, its losses (A, 1) by label, and (A,) who keeps what was polished.
+    """
     kept = torch.ones(len(best), dtype=torch.bool)
     with torch.no_grad():
-        bound, after = harm(objectives, before) + SAFE, future_of(best)
+        after = future_of(best)
+        losses = judge(objectives, after)
+        if _safe(objectives, losses, SAFE):
+            return after, losses, kept
+        bound = harm(objectives, before) + SAFE
         while True:
             states = torch.where(kept[:, None, None, None], after.states, before.states)
             mixed = replace(after, states=states)
             worse = kept & (harm(objectives, mixed) > bound)[:, 0]
             if not worse.any():
-                return mixed, kept
+                return mixed, losses if kept.all() else judge(objectives, mixed), kept
             kept &= ~worse
 
 
@@ -230,6 +243,8 @@ def reconsider(
         (A,) sample numbers.
     """
     rows, chosen = torch.arange(len(chosen)), chosen.clone()
+    if _safe(objectives, {label: loss[rows, chosen] for label, loss in losses.items()}, met):
+        return chosen
     kept = future.states[rows, chosen][:, None]  # (A, 1, T, 4)
     if not (harm(objectives, replace(future, states=kept)) > met).any():
         return chosen

@@ -203,10 +203,10 @@ class TracePlanner:
         if objectives and self.polishes:
             before = replace(future, states=future.states[rows, chosen][:, None])
             best = self._polish(actions[rows, chosen][:, None], context, future_of, objectives)
-            better, kept = where_no_worse(best, before, future_of, objectives)
+            better, best_losses, kept = where_no_worse(best, before, future_of, objectives)
             actions[rows[kept], chosen[kept]] = best[kept, 0]
             future.states[rows, chosen] = better.states[:, 0]
-            for label, loss in judge(objectives, better).items():
+            for label, loss in best_losses.items():
                 losses[label][rows, chosen] = loss[:, 0]
             chosen = reconsider(chosen, losses, objectives, future, SAFE)
         states = future.states.double().numpy()
