@@ -135,16 +135,17 @@ def street(agents: int, seed: int = 0) -> "tuple[np.ndarray, np.ndarray, Any, li
     cells = int((SPACING * side + 12) / 0.1)
     blocked = np.zeros((cells, cells), bool)
     taken = np.concatenate([states[..., :2].reshape(-1, 2), goal])
+    margin, blocks = round(2 * ROOM / 0.1), 0
     for _ in range(60):
         row, column = rng.integers(0, cells - 20, 2)
         corner = 0.1 * np.array([column, row]) - 6.0
         free = np.maximum(corner - taken, taken - corner - (1.2, 1.5)).max(1).min() > ROOM
-        margin = round(2 * ROOM / 0.1)
         around = blocked[
             max(row - margin, 0) : row + 15 + margin, max(column - margin, 0) : column + 12 + margin
         ]
-        if free and not around.any() and blocked.sum() < 6 * 15 * 12:
+        if free and not around.any() and blocks < 6:
             blocked[row : row + 15, column : column + 12] = True
+            blocks += 1
     wishes = [
         Objective("waypoint", {"goal": torch.from_numpy(goal), "temperature": 0.05}),
         Objective("agent_avoid"),

@@ -106,7 +106,8 @@ def guide_direct(
     the linearised wish. In turn they do better than all at once, as with any projections onto several sets.
     A weight shortens (below 1) or lengthens the steps of an objective. Where a loss cannot become zero, such a
     step leaps once its gradient vanishes: denoising mends that, at its end only `careful` steps do, which are
-    taken by those alone whose loss falls; for those whose loss falls little, the next one is a quarter as long.
+    taken by those alone whose loss falls; for those whose loss falls little, the next one is a quarter as long, for
+    those whose loss falls far twice as long.
     """
     pace = [torch.ones(()).expand(clean.shape[:2])] * len(objectives)
     for _ in range(guidance.inner_steps):

@@ -133,11 +133,14 @@ class SceneMaps:
     @cached_property
     def _tall_slopes(self) -> Tensor:
         """(1, C * 3, S * H, W): distance and slopes along x and y of every layer."""
-        up, right = torch.gradient(self.distance, spacing=self.resolution, dim=(2, 3))
-        for slope in (right, up):
-            for border in (slope[..., 0], slope[..., -1], slope[..., 0, :], slope[..., -1, :]):
-                border.zero_()  # where the field goes on as it is
-        picture = torch.stack([self.distance, right, up], 2)  # (S, C, 3, H, W)
+        field, twice = self.distance, 2 * self.resolution
+        right, up = (
+            torch.zeros_like(field),
+            torch.zeros_like(field),
+        )  # at the border the field goes on as it is
+        right[..., 1:-1, 1:-1] = (field[..., 1:-1, 2:] - field[..., 1:-1, :-2]) / twice
+        up[..., 1:-1, 1:-1] = (field[..., 2:, 1:-1] - field[..., :-2, 1:-1]) / twice
+        picture = torch.stack([field, right, up], 2)  # (S, C, 3, H, W)
         return picture.flatten(1, 2).transpose(0, 1).flatten(1, 2)[None]
 
     @cached_property

@@ -50,6 +50,8 @@ def test_slopes_are_those_of_the_distance_and_end_where_the_map_ends():
     radius = points[0].norm(dim=1, keepdim=True)
     assert (slopes - points[0] / radius).norm(dim=1)[radius[:, 0] > 0.5].mean() < 0.1
     assert maps.sample_slopes(torch.tensor([[[9.0, 0.0]]]), scene)[1].abs().max() == 0
+    one_row = SceneMaps.from_raster({"obstacle": np.array([[True, False, False]])}, 0.1)
+    assert one_row.sample_slopes(torch.zeros(1, 1, 2), scene)[1].abs().max() == 0
 
 
 def test_scenes_do_not_mix():
