@@ -23,6 +23,7 @@ from ..models.trace.scene_map import SceneMaps
 from ..models.trace.weights import WeightsError
 from .planner_moment import Moment, place_of
 from .planner_objectives import Surroundings, facing_the_way, objectives_of, timed_way
+from .planner_stops import halted, settled
 
 log = logging.getLogger(__name__)
 
@@ -32,10 +33,6 @@ GUIDANCE_STEPS = 2
 """Per denoising step: wishes here lead far from what people would do by themselves, as round a wall."""
 POWER = 1.0
 """Of the strides: longer ones at the end would leave such wishes half met."""
-STILL = 0.25
-"""Who moves no further than this, for `STANDS` at least, stands [m]."""
-STANDS = 1.0
-"""[s]."""
 
 
 class TraceMethod:
@@ -134,35 +131,7 @@ class TraceMethod:
             ids=ids,
         )
         self._last, self._last_time = futures, moment.now
-        return settled(futures, now)
-
-
-def settled(futures: TraceFutures, now: np.ndarray, still: float = STILL) -> TraceFutures:
-    """Futures in which who hardly moves any more stands.
-
-    From the first state on that is no further than `still` [m] from the middle of the last `STANDS`, as all between
-    are, nobody moves, if that is so long before the end: samples of a person who waits tremble, and a body that
-    follows them would shuffle.
-
-    Args:
-        futures: (A, S, T).
-        now: (A, 4) states before the first one.
-        still: [m].
-    """
-    count, samples = futures.speeds.shape[:2]
-    first = np.broadcast_to(now[:, None, None, :], (count, samples, 1, 4))
-    rest = [futures.positions, futures.headings[..., None], futures.speeds[..., None]]
-    states = np.concatenate([first, np.concatenate(rest, axis=-1)], axis=2)  # (A, S, 1 + T, 4)
-    while_standing = round(STANDS / PLAN_DT)
-    end = states[..., -while_standing:, :2].mean(axis=2, keepdims=True)
-    far = np.linalg.norm(states[..., :2] - end, axis=-1) > still
-    steps = np.arange(states.shape[2])
-    arrival = np.where(far, steps + 1, 0).max(axis=2)[..., None]  # (A, S, 1)
-    arrival = np.where(arrival > steps[-1] - while_standing, steps[-1], arrival)
-    index = np.minimum(steps, arrival)[..., None]
-    held = np.take_along_axis(states, np.broadcast_to(index, states.shape), axis=2)[:, :, 1:]
-    speeds = np.where(steps[1:] > arrival, 0.0, held[..., 3])
-    return replace(futures, positions=held[..., :2], headings=held[..., 2], speeds=speeds)
+        return settled(halted(futures, now, self._maps, moment.radius), now)
 
 
 def load_objectives(name: str) -> None:

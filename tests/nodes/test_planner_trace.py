@@ -26,8 +26,11 @@ from footfall.messages.objectives import (
 )
 from footfall.messages.topics import AGENTS, BODIES, MAP, OBJECTIVES
 from footfall.models.trace.objectives import OBJECTIVES as REGISTERED
+from footfall.models.trace.planner import TraceFutures
+from footfall.models.trace.scene_map import SceneMaps
 from footfall.models.trace.weights import load_tensors, save_tensors
 from footfall.nodes.planner import Config, PlannerNode
+from footfall.nodes.planner_stops import halted
 
 SIDE = 240  # cells of 0.1 m
 
@@ -298,3 +301,24 @@ def test_without_torch_the_sentence_says_what_to_do(monkeypatch):
     with pytest.raises(ConfigError, match="'trace' needs torch; install footfall"):
         trace()
     PlannerNode(Config(method="orca"))
+
+
+def test_who_would_walk_into_a_wall_stops_before_it_and_all_others_walk_on():
+    wall = np.zeros((200, 200), bool)
+    wall[:, 120:] = True  # from x = 12 m on
+    maps = SceneMaps.from_raster({"obstacle": wall}, 0.1, (0.05, 0.05))
+    now = np.array([[8.0, 10.0, 0.0, 1.5], [8.0, 5.0, np.pi, 1.5], [12.1, 10.0, np.pi, 1.0]])
+    time = 0.1 * np.arange(1, 51)
+    ahead = np.stack([np.cos(now[:, 2]), np.sin(now[:, 2])], -1)
+    places = now[:, None, :2] + now[:, 3, None, None] * time[:, None] * ahead[:, None]
+    kept = [np.broadcast_to(now[:, column, None], (3, 50))[:, None] for column in (2, 3)]
+    futures = TraceFutures(places[:, None], *kept, np.zeros(3, np.int64))
+    stopped = halted(futures, now, maps, np.full(3, 0.25))
+    x = stopped.positions[0, 0, :, 0]
+    assert 11.5 < x[-1] <= 11.77 and (np.diff(x) >= 0).all()
+    brakes = np.diff(stopped.speeds[0, 0]) / 0.1
+    assert stopped.speeds[0, 0, 0] == pytest.approx(1.5) and stopped.speeds[0, 0, -1] < 0.1
+    assert brakes.min() > -2.5
+    for one in (1, 2):  # away from the wall; out of the wall
+        np.testing.assert_array_equal(stopped.positions[one], futures.positions[one])
+    assert halted(futures, now, None, np.full(3, 0.25)) is futures
