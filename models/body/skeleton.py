@@ -85,12 +85,13 @@ _LIMITS_DEG = {
 }
 
 # kp (N m/rad), kd (N m s/rad) and torque cap (N m) for a person of 77 kg. Ratio kd/kp = 0.1 s as in PACER
-# (app. B); stiffness at the level found stable in MuJoCo at 120 Hz with `implicitfast`; caps near the peak
-# isokinetic torques of adults (hip and knee 200-300 N m; Anderson et al. 2007), but for ankles, whose tendons
-# return what they have stored: 3 N m/kg in running (Novacheck 1998). Capped at 150 N m nobody can sprint.
+# (app. B), but for hips and knees, which that much damping makes too slow for stairs; stiffness at the level
+# found stable in MuJoCo at 120 Hz with `implicitfast`; caps near the peak isokinetic torques of adults (hip and
+# knee 200-300 N m; Anderson et al. 2007), but for ankles, whose tendons return what they have stored: 3 N m/kg
+# in running (Novacheck 1998). Capped at 150 N m nobody can sprint.
 _GAINS = {
-    "Hip": (300, 30, 300),
-    "Knee": (300, 30, 300),
+    "Hip": (300, 20, 300),
+    "Knee": (300, 20, 300),
     "Ankle": (200, 20, 230),
     "Toe": (30, 3, 30),
     "Torso": (400, 40, 300),

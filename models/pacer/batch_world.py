@@ -43,7 +43,7 @@ class Physics:
     """s."""
     substeps: int = 4
     """Physics steps per control step: 30 Hz control, as PACER (app. B)."""
-    iterations: int = 3
+    iterations: int = 6
     """Most iterations of the constraint solver."""
     threads: int = 2
 

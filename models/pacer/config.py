@@ -41,9 +41,9 @@ class TrackerConfig(LearningConfig):
     """Frames ahead whose reference is observed."""
     action_scale: float = 0.4
     """rad of PD target per unit of action."""
-    lead: float = 0.1
-    """s: PD targets run ahead of the reference by this times its velocity. It is the actuators' kd / kp, so
-    that their damping does not hold a moving joint back."""
+    lead: float = 1.0
+    """PD targets run ahead of the reference by this times its velocity times kd / kp of each hinge's drive: by 1, so
+    that damping does not hold a moving joint back."""
     lost: float = 0.35
     """m: mean distance of tracked joints from the reference at which an episode fails."""
     episode: int = 240

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 _BEND_TIME = 0.2  # s
 _FELT = np.arange(-0.3, 0.91, 0.2)  # m along the way: where the ground's rise is looked at
-_UPHILL = 2.5  # exponent by which a rise over run, up or down, slows people, in the form of Tobler (1993)
+_UPHILL = 2.0  # exponent by which a rise over run, up or down, slows people, in the form of Tobler (1993)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Where walks begin: on the tiles of a course, on harder ones as people get on, near one's company."""
+"""Where walks begin: on the tiles of a course, mostly on those where some fall and some do not, near one's company."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from .courses import Course
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
-_UP, _DOWN = 0.06, 0.03  # levels by which a walk moves where its kind of ground begins: two thirds may fall
-_SPREAD = 3  # levels, the hardest and those below, on which people begin
+_MEMORY = 0.03  # weight of one more walk in the share that falls on a tile
+_LEAST = 0.04  # variance of falling or not that every tile counts for; where half fall it is 0.25
 _TOGETHER = 3.0  # m within which company begins
+_JOINING = 0.5  # share of those who begin while others of their company walk that join them
 _ROOM, _APART = 1.0, 1.2  # m to obstacles, and to each other if there is room for that
 _TRIES = 12
 
@@ -38,10 +39,10 @@ class Starts:
         rng: np.random.Generator,
     ):
         levels, columns = np.shape(course.kinds) if course else (1, 1)
-        self.hardest: Array = np.full(columns, levels - 1.0)
-        """(columns,) level of the course up to which people begin, by column."""
+        self.falls: Array = np.full((levels, columns), 0.5)
+        """(levels, columns) share of the walks begun on a tile that end with a fall, as remembered."""
         self.learning = False
-        """Whether people begin near the hardest level, which follows how they get on; otherwise anywhere."""
+        """Whether people begin where the outcome is open, from which there is most to learn; otherwise anywhere."""
         self._course, self._outlines, self._company, self._rng = course, outlines, company, rng
         self._tile: Ids = np.zeros((people, 2), dtype=np.intp)  # column and level where each began
 
@@ -51,17 +52,15 @@ class Starts:
             return np.zeros((count, 2))
         rng, centres = self._rng, self._course.centres()
         levels, kinds = centres.shape[:2]
-        if self.learning:  # the farther a kind of ground is from the hardest, the more begin on it
-            left = levels - self.hardest
-            columns = rng.choice(kinds, count, p=left / left.sum())
-            top = np.floor(self.hardest[columns])
-            rows = np.maximum(top - rng.integers(_SPREAD, size=count), 0).astype(int)
+        if self.learning:
+            doubt = np.maximum(self.falls * (1.0 - self.falls), _LEAST).ravel()
+            rows, columns = np.divmod(rng.choice(doubt.size, count, p=doubt / doubt.sum()), kinds)
         else:
             columns, rows = rng.integers(kinds, size=count), rng.integers(levels, size=count)
         return centres[rows, columns] + rng.uniform(-1.0, 1.0, (count, 2))
 
     def draw(self, ids: Ids, people: Array) -> Array:
-        """Places (n, 2), m, world, for people (n,) to begin at: near their company, but not too near.
+        """Places (n, 2), m, world, for people (n,) to begin at: half of them near their company, but not too near.
 
         Args:
             ids: who begins.
@@ -75,13 +74,15 @@ class Starts:
             self._tile[ids] = np.clip(places // self._course.settings.tile, 0, last)
         return places
 
-    def promote(self, ids: Ids, fell: NDArray[np.bool_]) -> None:
-        """Let people begin on harder ground where few of those (n,) who began on the hardest fell."""
-        columns, levels = self._tile[ids].T
-        top = levels >= np.floor(self.hardest[columns])
-        np.add.at(self.hardest, columns[top], np.where(fell[top], -_DOWN, _UP))
-        last = len(self._course.kinds) - 1.0 if self._course else 0.0
-        self.hardest = np.clip(self.hardest, 0.0, last)
+    @property
+    def level(self) -> float:
+        """How many levels people master: the share that does not fall, summed over levels; mean over columns."""
+        return float((1.0 - self.falls).sum(0).mean())
+
+    def remember(self, ids: Ids, fell: NDArray[np.bool_]) -> None:
+        """Count who (n,) of people whose walks have ended fell, by the tile on which they began."""
+        for (column, level), down in zip(self._tile[ids], fell, strict=True):
+            self.falls[level, column] += _MEMORY * (down - self.falls[level, column])
 
     def _gather(self, places: Array, ids: Ids, people: Array) -> None:
         """Move places (n, 2) to where company is, in place."""
@@ -91,7 +92,7 @@ class Starts:
         for row, i in enumerate(ids):
             mates = slice(i - i % size, i - i % size + size)
             there = people[mates][present[mates]]
-            if len(there):
+            if len(there) and rng.random() < _JOINING:
                 middle = there[rng.integers(len(there))]
                 spots = middle + rng.uniform(-_TOGETHER, _TOGETHER, (_TRIES, 2))
                 spots = spots[self._room(spots) > _ROOM]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..body import JOINT_GAINS
 from ..motion.library import MotionLibrary
 from .batch_world import EVERYONE, BatchWorld
 from .body_masks import sample_masks
@@ -89,7 +90,8 @@ class TrackerEnv:
         self._fallen = _FALLEN * np.array([b.pelvis_height for b in library.bodies])[self.world.body_index]
         self._joints = np.ascontiguousarray(library.joints[:, :, self.world.hinges])  # (K, F, H)
         self._rates = np.ascontiguousarray(library.joint_velocities[:, :, self.world.hinges])
-        self._targets = self._joints + config.lead * self._rates
+        kp, kd, _ = JOINT_GAINS[self.world.hinges].T
+        self._targets = self._joints + config.lead * (kd / kp) * self._rates
         self._idle = np.median(self._joints, axis=1)  # (K, H)
 
     def __len__(self) -> int:

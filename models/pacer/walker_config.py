@@ -107,7 +107,7 @@ class WalkerConfig(LearningConfig):
     arms: bool = False
     """Whether actions move the arms, too; otherwise they swing as the gait says."""
     lead: float = 0.1
-    """s: PD targets run ahead of the gait by this times its rates; the drives' kd / kp."""
+    """s: PD targets run ahead of the gait by this times its rates: the legs' kd / kp, and what control lags behind."""
     lost: float = 2.0
     """m from the path at which an episode fails in training; PACER has 4 m, and learns slower for it."""
     episode: int = 300

@@ -283,8 +283,7 @@ class WalkerEnv:
             "bumped": float(bumped.sum()),
         }
         if len(ended):
-            if self.starts.learning:
-                self.starts.promote(ended, fell[ended])
+            self.starts.remember(ended, fell[ended])
             self._begin(ended)
             self.settle(ended)
             observations[ended] = self.observe()[ended]

@@ -32,7 +32,6 @@ class WalkerTraining(PolicyTraining):
 
     def __init__(self, env: WalkerEnv, config: WalkerConfig, demos: DemoWindows | None = None):
         env.difficulty, env.starts.learning = config.first_difficulty, True
-        env.starts.hardest[:] = 0.0
         super().__init__(env, config)
         self.env = env
         self.config = config
@@ -66,7 +65,7 @@ class WalkerTraining(PolicyTraining):
         causes = {cause: figures[cause] for cause in ("fell", "strayed", "bumped")}
         ended = max(sum(causes.values()), 1e-9)
         causes = {cause: count / ended for cause, count in causes.items()}
-        return causes | {"difficulty": env.difficulty, "level": ranks.mean(float(env.starts.hardest.mean()))}
+        return causes | {"difficulty": env.difficulty, "level": ranks.mean(env.starts.level)}
 
     def _rewards(self, step: WalkerStep) -> Tensor:
         """Rewards (N,): of the task, and of style where a window is whole; elsewhere ordinary style."""
@@ -92,7 +91,7 @@ class WalkerTraining(PolicyTraining):
         return tensors, facts | {
             "failing": self.failing,
             "difficulty": self.env.difficulty,
-            "hardest": self.env.starts.hardest.tolist(),
+            "falls": self.env.starts.falls.tolist(),
         }
 
     def load_state(self, tensors: dict[str, Tensor], facts: dict[str, Any]) -> dict[str, dict[str, Tensor]]:
@@ -101,8 +100,8 @@ class WalkerTraining(PolicyTraining):
         if self.style and "style" in parts:
             self.style.discriminator.load_state_dict(parts["style"])
         self.failing, self.env.difficulty = float(facts["failing"]), float(facts["difficulty"])
-        if len(facts.get("hardest", [])) == len(self.env.starts.hardest):
-            self.env.starts.hardest[:] = facts["hardest"]
+        if np.shape(facts.get("falls", [])) == self.env.starts.falls.shape:
+            self.env.starts.falls[:] = facts["falls"]
         return parts
 
     def _learners(self) -> Iterator[tuple[str, torch.optim.Optimizer, nn.Module]]:

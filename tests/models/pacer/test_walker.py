@@ -300,20 +300,24 @@ def test_on_a_course_people_start_on_their_feet_and_see_the_ground():
     assert not step.failed.any() and np.isfinite(step.observations).all()
 
 
-def test_the_ground_gets_harder_where_people_do_well_and_easier_where_they_fail():
+def test_most_begin_where_some_fall_and_some_do_not():
     course = CourseSettings(levels=4, columns=2, tile=10.0, kinds=("flat", "slope"))
     env = WalkerEnv(replace(SMALL, course=course), seed=1)
-    starts = env.starts
-    starts.learning, starts.hardest[:] = True, [1.0, 1.0]
-    ids = np.arange(len(env))
-    starts._tile[ids] = [1, 1]
-    for _ in range(3):
-        starts.promote(ids, np.zeros(len(env), dtype=bool))
-    assert starts.hardest[0] == 1.0 and 1.0 < starts.hardest[1] <= 3.0
-    for _ in range(30):
-        starts._tile[ids, 1] = np.floor(starts.hardest[1])
-        starts.promote(ids, np.ones(len(env), dtype=bool))
-    assert starts.hardest.tolist() == [1.0, 0.0]
+    starts, ids = env.starts, np.arange(len(env))
+    begun = lambda: np.unique(np.floor(starts.anywhere(4000) / 10.0), axis=0, return_counts=True)[1]  # noqa: E731
+    starts.learning = True
+    assert np.ptp(begun()) < 150  # nothing is known yet
+
+    starts._tile[ids] = [1, 0]  # column and level
+    for _ in range(300):
+        starts.remember(ids, np.zeros(len(env), dtype=bool))
+    starts._tile[ids] = [1, 3]
+    for _ in range(300):
+        starts.remember(ids, np.ones(len(env), dtype=bool))
+    assert starts.falls[0, 1] < 0.01 < 0.99 < starts.falls[3, 1]
+    assert starts.level == pytest.approx((4 * 0.5 + 1.0 + 0.5 + 0.5 + 0.0) / 2, abs=0.02)
+    counts = begun()  # column by column
+    assert counts[[4, 7]].max() < 0.3 * counts[[0, 1, 2, 3, 5, 6]].min()
 
 
 def test_knees_are_stretched_uphill_only_and_by_what_the_load_bends():
