@@ -48,7 +48,7 @@ def settled(futures: TraceFutures, now: np.ndarray, still: float = STILL) -> Tra
 
 
 def halted(
-    futures: TraceFutures, now: np.ndarray, maps: SceneMaps | None, radius: np.ndarray
+    futures: TraceFutures, now: np.ndarray, maps: SceneMaps | None, radius: np.ndarray, heeds: np.ndarray
 ) -> TraceFutures:
     """Futures in which who would walk into an obstacle stops before it, on the same way.
 
@@ -60,6 +60,10 @@ def halted(
         now: (A, 4) states before the first one.
         maps: Distances from obstacles; without them nobody stops.
         radius: (A,) of the bodies [m].
+        heeds: (A,) whether obstacles are to be avoided at all.
+
+    Returns:
+        The futures; their losses are still those of what was planned.
     """
     count, samples, steps = futures.speeds.shape
     if maps is None or not count:
@@ -69,7 +73,7 @@ def halted(
     points = torch.from_numpy(places.reshape(1, -1, 2).astype(np.float32))
     room = maps.layer("obstacle").sample(points, torch.zeros(1, dtype=torch.long))
     room = room.numpy().reshape(places.shape[:3]) - radius[:, None, None]
-    inside = room < np.minimum(room[..., :1], 0.0) - GRAZE
+    inside = (room < np.minimum(room[..., :1], 0.0) - GRAZE) & heeds[:, None, None]
     if not inside.any():
         return futures
     positions, headings, speeds = (a.copy() for a in (futures.positions, futures.headings, futures.speeds))

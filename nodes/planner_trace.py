@@ -131,7 +131,8 @@ class TraceMethod:
             ids=ids,
         )
         self._last, self._last_time = futures, moment.now
-        return settled(halted(futures, now, self._maps, moment.radius), now)
+        heeds = moment.asked.weights["ObstacleAvoidance"] != 0  # NaN, nothing said, does
+        return settled(halted(futures, now, self._maps, moment.radius, heeds), now)
 
 
 def load_objectives(name: str) -> None:

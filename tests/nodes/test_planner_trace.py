@@ -313,7 +313,8 @@ def test_who_would_walk_into_a_wall_stops_before_it_and_all_others_walk_on():
     places = now[:, None, :2] + now[:, 3, None, None] * time[:, None] * ahead[:, None]
     kept = [np.broadcast_to(now[:, column, None], (3, 50))[:, None] for column in (2, 3)]
     futures = TraceFutures(places[:, None], *kept, np.zeros(3, np.int64))
-    stopped = halted(futures, now, maps, np.full(3, 0.25))
+    radius, all_do = np.full(3, 0.25), np.ones(3, bool)
+    stopped = halted(futures, now, maps, radius, all_do)
     x = stopped.positions[0, 0, :, 0]
     assert 11.5 < x[-1] <= 11.77 and (np.diff(x) >= 0).all()
     brakes = np.diff(stopped.speeds[0, 0]) / 0.1
@@ -321,4 +322,5 @@ def test_who_would_walk_into_a_wall_stops_before_it_and_all_others_walk_on():
     assert brakes.min() > -2.5
     for one in (1, 2):  # away from the wall; out of the wall
         np.testing.assert_array_equal(stopped.positions[one], futures.positions[one])
-    assert halted(futures, now, None, np.full(3, 0.25)) is futures
+    assert halted(futures, now, None, radius, all_do) is futures
+    assert halted(futures, now, maps, radius, ~all_do) is futures
