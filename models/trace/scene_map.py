@@ -134,10 +134,7 @@ class SceneMaps:
     def _tall_slopes(self) -> Tensor:
         """(1, C * 3, S * H, W): distance and slopes along x and y of every layer."""
         field, twice = self.distance, 2 * self.resolution
-        right, up = (
-            torch.zeros_like(field),
-            torch.zeros_like(field),
-        )  # at the border the field goes on as it is
+        right, up = torch.zeros_like(field), torch.zeros_like(field)  # zero at the border
         right[..., 1:-1, 1:-1] = (field[..., 1:-1, 2:] - field[..., 1:-1, :-2]) / twice
         up[..., 1:-1, 1:-1] = (field[..., 2:, 1:-1] - field[..., :-2, 1:-1]) / twice
         picture = torch.stack([field, right, up], 2)  # (S, C, 3, H, W)
