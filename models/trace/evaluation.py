@@ -10,9 +10,9 @@ import torch
 from numpy.typing import NDArray
 
 from ..crowd.planning import Futures
+from .choice import choose_samples, labelled
 from .config import TraceConfig
 from .crowd_file import SPLITS, Crowds
-from .guidance import choose_samples, labelled
 from .metrics import (
     Array,
     agent_collisions,
@@ -178,7 +178,9 @@ def avoid_agents(scene: TrialScene) -> list[Objective]:
 
 def reach_waypoint(scene: TrialScene) -> list[Objective]:
     """Pass the waypoint at any time."""
-    return [Objective("waypoint", {"goal": torch.from_numpy(scene.goal), "temperature": 0.05})]
+    return [
+        Objective("waypoint", {"goal": torch.from_numpy(scene.goal), "temperature": 0.05, "widening": 0.3})
+    ]
 
 
 def everything(scene: TrialScene) -> list[Objective]:

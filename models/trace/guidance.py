@@ -1,7 +1,7 @@
 """Test-time guidance: how gradients of the objectives bend the denoising (Rempe et al. 2023, sec. 3.1.2)."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -9,9 +9,6 @@ from torch import Tensor
 
 from . import guidance_losses  # noqa: F401  registers the objectives
 from .objectives import Future, Objective
-
-SAFE = 1e-3
-"""A loss of safety up to this is none: a millimetre in an obstacle, a thousandth of a disc in another."""
 
 
 class GuidanceError(ValueError):
@@ -81,8 +78,6 @@ _LEAST_PACE = 0.2  # careful steps shorter than this share of a whole one are no
 _GAIN = 0.9  # of a loss: a careful step that leaves more is the last one of its length
 _LARGE_GAIN = 0.35  # a careful step that leaves less may be twice as long next time
 _LONGEST_PACE = 2.0
-_HARM = 100.0  # weight of what overlaps for real when a sample is chosen anew
-_SOON = 1.5  # s, in which harm counts ten times
 
 FutureOf = Callable[[Tensor], Future]
 
@@ -158,127 +153,3 @@ def gradient_of(loss: Tensor, actions: Tensor) -> Tensor:
         return torch.zeros_like(actions)
     (gradient,) = torch.autograd.grad(loss.sum(), actions, allow_unused=True, materialize_grads=True)
     return gradient.nan_to_num(0.0, 0.0, 0.0)
-
-
-def choose_samples(losses: dict[str, Tensor], objectives: Sequence[Objective]) -> Tensor:
-    """Filtering (app. A.2.1): the sample with the lowest loss, per agent, or per scene if agents interact.
-
-    Args:
-        losses: (A, M) by objective name.
-        objectives: With their weights.
-
-    Returns:
-        (A,) sample numbers; sample 0 without objectives.
-    """
-    total = torch.stack([wish.share * losses[label] for label, wish in labelled(objectives)]).sum(0)
-    if any(wish.joint for wish in objectives):
-        return total.sum(0).argmin().expand(len(total))
-    return total.argmin(1)
-
-
-def harm(objectives: Sequence[Objective], future: Future) -> Tensor:
-    """(A, M) losses of safety without the room that is kept beyond touching: 0 where nothing overlaps.
-
-    What happens soon counts ten times: of the rest the next plan has another look.
-    """
-    soon = replace(future, states=future.states[:, :, : round(_SOON / future.dt)])
-    total = torch.zeros(future.states.shape[:2])
-    for wish in objectives:
-        if wish.buffered:
-            bare = replace(wish, parameters=wish.parameters | {"buffer": 0.0})
-            if (loss := bare.loss(future)).any():
-                total = total + (loss + 9 * bare.loss(soon)) * (wish.share > 0)
-    return total
-
-
-def judge(objectives: Sequence[Objective], future: Future) -> dict[str, Tensor]:
-    """Losses (A, M) by label."""
-    return {label: wish.loss(future) for label, wish in labelled(objectives)}
-
-
-def _safe(objectives: Sequence[Objective], losses: dict[str, Tensor], met: float) -> bool:
-    """Whether not even the room beyond touching is taken by anybody: then there is no `harm` either."""
-    return not any((losses[label] > met).any() for label, wish in labelled(objectives) if wish.buffered)
-
-
-def where_no_worse(
-    best: Tensor, before: Future, future_of: FutureOf, objectives: Sequence[Objective]
-) -> tuple[Future, dict[str, Tensor], Tensor]:
-    """Of polished actions (A, 1, T, 2) what harms nobody more than before.
-
-    Returns:
-        The future, its losses (A, 1) by label, and (A,) who keeps what was polished.
-    """
-    kept = torch.ones(len(best), dtype=torch.bool)
-    with torch.no_grad():
-        after = future_of(best)
-        losses = judge(objectives, after)
-        if _safe(objectives, losses, SAFE):
-            return after, losses, kept
-        bound = harm(objectives, before) + SAFE
-        while True:
-            states = torch.where(kept[:, None, None, None], after.states, before.states)
-            mixed = replace(after, states=states)
-            worse = kept & (harm(objectives, mixed) > bound)[:, 0]
-            if not worse.any():
-                return mixed, losses if kept.all() else judge(objectives, mixed), kept
-            kept &= ~worse
-
-
-def reconsider(
-    chosen: Tensor, losses: dict[str, Tensor], objectives: Sequence[Objective], future: Future, met: float
-) -> Tensor:
-    """Who would come to harm in the chosen scene takes another sample while all others keep theirs.
-
-    Of ten scenes of many people none may be without a mishap, though everybody has a sample without; and the sum
-    of the losses would pay for a touch with a little more room elsewhere.
-
-    Args:
-        chosen: (A,) sample numbers.
-        losses: (A, M) by label.
-        objectives: With their weights.
-        future: Of all samples.
-        met: A harm up to this is none.
-
-    Returns:
-        (A,) sample numbers.
-    """
-    rows, chosen = torch.arange(len(chosen)), chosen.clone()
-    if _safe(objectives, {label: loss[rows, chosen] for label, loss in losses.items()}, met):
-        return chosen
-    kept = future.states[rows, chosen][:, None]  # (A, 1, T, 4)
-    if not (harm(objectives, replace(future, states=kept)) > met).any():
-        return chosen
-    together = [wish for wish in objectives if wish.joint]
-    own_harm = harm([wish for wish in objectives if not wish.joint], future)
-    alone = _HARM * own_harm
-    for label, wish in labelled(objectives):
-        alone = alone if wish.joint else alone + wish.share * losses[label]
-
-    def seen_together(states: Tensor) -> tuple[Tensor, Tensor]:
-        """Joint losses of all, (M,), and the harm that people do each other, (A, M)."""
-        mixed = replace(future, states=states)
-        mutual = harm(together, mixed)
-        wishes = torch.zeros(mutual.shape[1]) + sum((w.share * w.loss(mixed)).sum(0) for w in together)
-        return wishes + _HARM * mutual.sum(0), mutual
-
-    mutual, settled = seen_together(kept)[1][:, 0], torch.zeros(len(rows), dtype=torch.bool)
-    while True:
-        risk = (own_harm[rows, chosen] + mutual).masked_fill(settled, 0.0)
-        row = int(risk.argmax())
-        if not risk[row] > met:
-            return chosen
-        states = kept.repeat(1, future.states.shape[1], 1, 1)
-        states[row] = future.states[row]
-        joint, each = seen_together(states)
-        chosen[row] = best = int((alone[row] + joint).argmin())
-        kept[row, 0], mutual, settled[row] = future.states[row, best], each[:, best], True
-
-
-def labelled(objectives: Sequence[Objective]) -> list[tuple[str, Objective]]:
-    """Objectives under unique labels: the name, numbered from the second of a kind on."""
-    labels: list[tuple[str, Objective]] = []
-    for wish in objectives:
-        same = sum(other.name == wish.name for _, other in labels)
-        labels.append((f"{wish.name}_{same + 1}" if same else wish.name, wish))
-    return labels

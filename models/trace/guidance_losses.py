@@ -155,14 +155,19 @@ def waypoint_at(future: Future, goal: Tensor, time: Tensor | float) -> Tensor:
 
 
 @objective("waypoint")
-def waypoint(future: Future, goal: Tensor, temperature: float = 1.0) -> Tensor:
+def waypoint(future: Future, goal: Tensor, temperature: float = 1.0, widening: float = 0.0) -> Tensor:
     """Squared distance to a goal at whatever time the agent is nearest (eq 12-13), [m^2].
+
+    With a low temperature alone, who stands with the goal behind stays: the nearest state is the present one, which
+    nothing can move. With some widening all states count as long as the goal is far.
 
     Args:
         future: Of one scene.
         goal: (A, 2) world x, y [m].
         temperature: Of the soft minimum over time [m]; 1 is the paper's, towards 0 only the nearest state
             counts.
+        widening: The temperature grows by this share of the distance of the nearest state; 0 is the paper's. To
+            the gradient the temperature is a constant.
     """
     recorded = torch.is_grad_enabled()
     with torch.no_grad():
@@ -170,11 +175,12 @@ def waypoint(future: Future, goal: Tensor, temperature: float = 1.0) -> Tensor:
         offset = future.positions - goals[:, :, None]
         square = offset.square().sum(-1)
         distance = square.sqrt()
-        share = torch.softmax(-distance / temperature, -1) * given[..., None]
+        softness = temperature + widening * distance.amin(-1, keepdim=True)
+        share = torch.softmax(-distance / softness, -1) * given[..., None]
         loss = (share * square).sum(-1)
         if not recorded:
             return loss
-        pull = share * (2 + (loss[..., None] - square) / (temperature * distance).clamp(min=1e-9))
+        pull = share * (2 + (loss[..., None] - square) / (softness * distance).clamp(min=1e-9))
     return future.sloped(loss, pull[..., None] * offset)
 
 
@@ -200,7 +206,12 @@ def global_waypoint_at(
 
 @objective("global_waypoint")
 def global_waypoint(
-    future: Future, goal: Tensor, urgency: float = 0.7, speed: float = 1.25, temperature: float = 1.0
+    future: Future,
+    goal: Tensor,
+    urgency: float = 0.7,
+    speed: float = 1.25,
+    temperature: float = 1.0,
+    widening: float = 0.0,
 ) -> Tensor:
     """Make progress towards a goal beyond the horizon (eq 17-20) [m]; within reach, `waypoint`.
 
@@ -210,13 +221,14 @@ def global_waypoint(
         urgency: 0 to 1, share of the distance the horizon allows.
         speed: Preferred speed [m/s].
         temperature: See `waypoint`.
+        widening: See `waypoint`.
     """
     distance, given = distance_to(future, goal)
     goals, _ = per_agent(goal, len(future.states), 1)
     start = (future.now[:, None, :2] - goals).norm(dim=-1)  # (A, 1)
     reach = distance.shape[-1] * future.dt * speed
     behind = torch.relu(urgency * reach - (start - distance[..., -1])) * given
-    return torch.where(start > reach, behind, waypoint(future, goal, temperature))
+    return torch.where(start > reach, behind, waypoint(future, goal, temperature, widening))
 
 
 @objective("social_group", joint=True)

@@ -10,21 +10,11 @@ import torch
 from torch import Tensor
 
 from ..crowd.planning import Futures
+from .choice import SAFE, choose_samples, judge, reconsider, regroup, where_no_worse
 from .context import Context, scene_context
 from .diffusion import DDIM, DDPM, CosineSchedule, DPMSolver2M, Solver
 from .dynamics import rollout
-from .guidance import (
-    SAFE,
-    FutureOf,
-    Guidance,
-    choose_samples,
-    gradient_of,
-    guide_direct,
-    judge,
-    reconsider,
-    total_loss,
-    where_no_worse,
-)
+from .guidance import FutureOf, Guidance, gradient_of, guide_direct, total_loss
 from .network import Encoding, Trace
 from .objectives import Future, Objective, ObjectiveError
 from .scene_map import SceneMaps
@@ -201,14 +191,12 @@ class TracePlanner:
             losses = judge(objectives, future)
         chosen = choose_samples(losses, objectives) if objectives else torch.zeros_like(rows)
         if objectives and self.polishes:
-            before = replace(future, states=future.states[rows, chosen][:, None])
-            best = self._polish(actions[rows, chosen][:, None], context, future_of, objectives)
-            better, best_losses, kept = where_no_worse(best, before, future_of, objectives)
-            actions[rows[kept], chosen[kept]] = best[kept, 0]
-            future.states[rows, chosen] = better.states[:, 0]
-            for label, loss in best_losses.items():
-                losses[label][rows, chosen] = loss[:, 0]
-            chosen = reconsider(chosen, losses, objectives, future, SAFE)
+            chosen = regroup(chosen, losses, objectives, future)
+            self._polish_chosen(chosen, actions, future, losses, context, future_of, objectives)
+            again = regroup(chosen, losses, objectives, future)
+            if (again != chosen).any():
+                self._polish_chosen(again, actions, future, losses, context, future_of, objectives)
+            chosen = reconsider(regroup(again, losses, objectives, future), losses, objectives, future)
         states = future.states.double().numpy()
         return TraceFutures(
             positions=states[..., :2],
@@ -266,6 +254,26 @@ class TracePlanner:
                 clean = self._within_speeds(clean, context.speed)
             noisy, estimate = solver.step(clean, noisy, i, generator) - shift, clean
         return noisy
+
+    def _polish_chosen(
+        self,
+        chosen: Tensor,
+        actions: Tensor,
+        future: Future,
+        losses: dict[str, Tensor],
+        context: Context,
+        future_of: FutureOf,
+        objectives: Sequence[Objective],
+    ) -> None:
+        """Polish the chosen sample of everybody, in place, where that harms nobody."""
+        rows = torch.arange(len(chosen))
+        before = replace(future, states=future.states[rows, chosen][:, None])
+        best = self._polish(actions[rows, chosen][:, None], context, future_of, objectives)
+        better, best_losses, kept = where_no_worse(best, before, future_of, objectives)
+        actions[rows[kept], chosen[kept]] = best[kept, 0]
+        future.states[rows, chosen] = better.states[:, 0]
+        for label, loss in best_losses.items():
+            losses[label][rows, chosen] = loss[:, 0]
 
     def _polish(
         self, best: Tensor, context: Context, future_of: FutureOf, objectives: Sequence[Objective]

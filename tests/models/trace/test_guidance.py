@@ -1,15 +1,9 @@
 import pytest
 import torch
 
+from footfall.models.trace.choice import choose_samples, harm, judge, reconsider, regroup
 from footfall.models.trace.dynamics import rollout
-from footfall.models.trace.guidance import (
-    Guidance,
-    GuidanceError,
-    choose_samples,
-    guide_direct,
-    harm,
-    reconsider,
-)
+from footfall.models.trace.guidance import Guidance, GuidanceError, guide_direct
 from footfall.models.trace.objectives import Future, Objective
 from footfall.models.trace.scene_map import SceneMaps
 
@@ -128,10 +122,27 @@ def test_who_would_come_to_harm_takes_another_sample_than_the_others():
     future, wishes = standing(first, second), [Objective("agent_avoid", {"buffer": 0.0})]
     losses = {"agent_avoid": wishes[0].loss(future)}
     chosen = choose_samples(losses, wishes)
-    again = reconsider(chosen, losses, wishes, future, 1e-3)
+    again = reconsider(chosen, losses, wishes, future)
     states = future.states[torch.arange(3), again][:, None]
     assert harm(wishes, future)[:, chosen[0]].sum() > 0
     assert harm(wishes, Future(states, future.now, future.radius)).sum() == 0
+
+
+def test_who_has_a_far_better_sample_takes_it_unless_others_pay_for_it():
+    first = [[4.0, 0.0], [0.0, 9.0], [9.0, 3.0]]  # the best of the scene
+    second = [[0.0, 0.0], [0.0, 0.3], [9.0, 0.0]]  # at their goals, the first two in each other
+    future = standing(first, second)
+    goals = torch.tensor([[0.0, 0.0], [0.0, 0.3], [9.0, 0.0]])
+    wishes = [Objective("agent_avoid", {"buffer": 0.0}), Objective("waypoint", {"goal": goals})]
+    losses = judge(wishes, future)
+    assert regroup(torch.tensor([0, 0, 0]), losses, wishes, future).tolist() == [0, 1, 1]  # 81 m^2 before 16
+    assert regroup(torch.tensor([1, 1, 1]), losses, wishes, future).tolist() == [
+        1,
+        1,
+        1,
+    ]  # nobody is better alone
+    alone = wishes[1:]
+    assert regroup(torch.tensor([0, 0, 0]), losses, alone, future).tolist() == [1, 1, 1]
 
 
 @pytest.mark.parametrize("side", [-0.3, -0.2, 0.2, 0.3])

@@ -127,9 +127,24 @@ def test_written_out_gradients_equal_recorded_ones():
     distance = (future.positions - goal[:, None, None]).norm(dim=-1)
     share = torch.softmax(-distance / 0.5, -1)
     check(loss(future, "waypoint", goal=goal, temperature=0.5), (share * distance.square()).sum(-1))
+    softness = 0.5 + 0.3 * distance.min(-1, keepdim=True).values.detach()
+    share = torch.softmax(-distance / softness, -1)
+    wide = loss(future, "waypoint", goal=goal, temperature=0.5, widening=0.3)
+    check(wide, (share * distance.square()).sum(-1))
     apart = (future.positions[:, None] - future.positions[None]).square().sum(-1) + 1e-8
     overlap = torch.relu(1 - apart.sqrt() / 1.0) * (1 - torch.eye(3))[..., None, None]
     check(loss(future, "agent_avoid"), overlap.sum((1, 3)))
+
+
+def test_widening_lets_who_stands_turn_for_a_goal_behind():
+    future = walkers([[0, 0]], [[1, 0]])
+    behind = {"goal": [-3.0, 0.0], "temperature": 0.05}
+    late = []
+    for widening in (0.0, 0.3):
+        value = loss(future, "waypoint", widening=widening, **behind)
+        (slope,) = torch.autograd.grad(value.sum(), future.states)
+        late.append(slope[0, 0, 10:, :2].abs().sum())
+    assert late[0] < 1e-3 < late[1]  # without it only the first states are moved
 
 
 def test_agents_without_a_goal_are_left_alone():

