@@ -16,8 +16,8 @@ from ..models.pacer.policy import ActorCritic
 from ..models.pacer.walker import WALKER
 from ..models.pacer.walker_config import WalkerConfig
 from ..models.pacer.walker_evaluation import Rollouts, roll_out, stroll_paths
-from ..models.pacer.walker_weights import load_discriminator, load_walker
-from .eval_pacer_tables import tell_steps, tell_table
+from ..models.pacer.walker_weights import STYLE, load_discriminator, load_walker
+from .eval_pacer_tables import GROUNDS_9, tell_steps, tell_table
 
 COURSE_SEED = 4242
 """Of the ground that is judged on; that of training has small seeds."""
@@ -49,8 +49,18 @@ def add_parser(subparsers) -> None:
         help="PACER's, with sharp turns, or gentle bends at 0.9 to 1.5 m/s",
     )
     parser.add_argument("--push", type=float, default=0.0, help="N for 0.2 s from a random side after 3 s")
-    parser.add_argument("--style", type=Path, help="a discriminator, style.safetensors of a run")
-    parser.add_argument("--unaware", action="store_true", help="people look at nothing but their paths")
+    parser.add_argument(
+        "--style",
+        type=Path,
+        help="a discriminator, style.safetensors of a run (default: that of the shipped walker)",
+    )
+    parser.add_argument(
+        "--unaware",
+        choices=list(GROUNDS_9),
+        nargs="?",
+        const="others",
+        help="people look at nothing but their paths, or are not told how they are built (default: %(const)s)",
+    )
     parser.add_argument("--gait", action="store_true", help="measure steps on straight ways, by speed")
     parser.add_argument(
         "--table", type=int, choices=[3, 9], help="the paper's: all grounds, or without awareness"
@@ -74,13 +84,13 @@ def run(args: argparse.Namespace) -> int:
     torch.set_num_threads(args.threads)
     model, config, facts = load_walker(args.model)
     if args.unaware:
-        config = unaware(config)
+        config = unaware(config, args.unaware)
     if args.gait:
         tell_steps(measure_steps(model, config), args.json, args.write)
     elif args.table:
 
-        def judged(terrain: str, aware: bool) -> dict[str, Any]:
-            return evaluate(args, model, config if aware else unaware(config), terrain)
+        def judged(terrain: str, of: str) -> dict[str, Any]:
+            return evaluate(args, model, unaware(config, of) if of else config, terrain)
 
         tell_table(args.table, args.rollouts, facts.get("samples", 0), judged, args.json, args.write)
     else:
@@ -105,7 +115,8 @@ def evaluate(
     args: argparse.Namespace, model: ActorCritic, config: WalkerConfig, terrain: str
 ) -> dict[str, Any]:
     """Figures of one kind of ground."""
-    judge = load_discriminator(args.style) if args.style else None
+    style = args.style or (STYLE if args.model == WALKER else None)
+    judge = load_discriminator(style) if style else None
     shared: dict[str, Any] = {"duration": args.duration, "discriminator": judge, "seed": args.seed}
     if terrain in ("obstacles", "crowd"):
         result = roll_out_together(model, config, args.rollouts, terrain, people=args.people, **shared)  # type: ignore[arg-type]

@@ -17,36 +17,39 @@ PAPER: dict[str, tuple[Cell, Cell, Cell]] = {
 }
 """Fail rate, path error [m] and discriminator reward of Rempe et al. 2023, table 3, procedural paths."""
 
+GROUNDS_9 = {"others": ("crowd", "obstacles"), "their body": ("random",)}
+"""What people are not aware of, and the grounds on which that is tried; the same weights, not trained anew."""
+
 
 def tell_table(
     number: int,
     rollouts: int,
     samples: int,
-    judged: Callable[[str, bool], dict[str, Any]],
+    judged: Callable[[str, str], dict[str, Any]],
     as_json: bool,
     write: Path | None,
 ) -> None:
-    """Table 3, all grounds, or what becomes of those who are not aware of others, as in table 9.
+    """Table 3, all grounds, or what becomes of those who are not aware of others or of their body, as in table 9.
 
     Args:
         number: Of the table.
         rollouts: Of each row.
         samples: The walker was trained on.
-        judged: Figures by ground, and by whether people look at more than their paths.
+        judged: Figures by ground, and by what people are not aware of: a key of `GROUNDS_9`, or "" for nothing.
         as_json: Print JSON rather than the table.
         write: Markdown file to put it into.
     """
-    cases = [(ground, True) for ground in PAPER]
+    cases = [(ground, "") for ground in PAPER]
     if number == 9:
-        cases = [(ground, aware) for ground in ("crowd", "obstacles") for aware in (True, False)]
-    facts = [(ground, aware, judged(ground, aware)) for ground, aware in cases]
+        cases = [(g, of) for what, grounds in GROUNDS_9.items() for g in grounds for of in ("", what)]
+    facts = [(ground, of, judged(ground, of)) for ground, of in cases]
     if as_json:
-        print(json.dumps([{"terrain": ground, "aware": aware} | figures for ground, aware, figures in facts]))
+        print(json.dumps([{"terrain": ground, "unaware_of": of} | figures for ground, of, figures in facts]))
     head = ["ground", "fail rate", "failed by", "path error [m]", "foot skate [m/s]", "disc. reward"]
     rows: list[list[Cell]] = []
-    for ground, aware, figures in facts:
+    for ground, of, figures in facts:
         causes = ", ".join(f"{count} {cause}" for cause, count in figures["falls_by_cause"].items() if count)
-        name = ground if aware else f"{ground}, unaware"
+        name = f"{ground}, unaware of {of}" if of else ground
         measures = [figures[key] for key in ("path_error_m", "foot_skate_mps", "disc_reward")]
         rows.append([name, figures["fail_rate"], causes, *measures, *(PAPER[ground] if number == 3 else ())])
     if number == 3:

@@ -157,6 +157,11 @@ def _hits(world: World, count: int) -> NDArray[np.bool_]:
     return hit
 
 
-def unaware(config: WalkerConfig) -> WalkerConfig:
-    """The same walker, who looks at nobody and nothing but the path (PACER, table 9)."""
-    return replace(config, manners=False)
+def unaware(config: WalkerConfig, of: str = "others") -> WalkerConfig:
+    """The same walker, not aware of something (PACER, table 9).
+
+    Args:
+        config: settings.
+        of: `others`, who looks at nobody and nothing but the path; or `their body`, who takes themselves for average.
+    """
+    return replace(config, manners=False) if of == "others" else replace(config, body_aware=False)

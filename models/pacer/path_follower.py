@@ -14,6 +14,10 @@ Array = NDArray[np.float64]
 
 _BEND_TIME = 0.2  # s
 _FELT = np.arange(-0.3, 0.91, 0.2)  # m along the way: where the ground's rise is looked at
+_CAREFUL = 1.5  # exponent by which a slope, rise over run, slows turns and changes of velocity
+_AROUND: Array = 0.3 * np.array(
+    [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]
+)  # m, where slopes are felt
 _UPHILL = 2.0  # exponent by which a rise over run, up or down, slows people, in the form of Tobler (1993)
 
 
@@ -134,7 +138,8 @@ class PathFollower:
             chosen = self.manners.choose(chosen, people, self.velocity, self.radius, limits.fastest, bend)
         self._bend(wanted, chosen, dt)
         wanted = chosen
-        self._turn(wanted, dt)
+        care = self._care(people)
+        self._turn(wanted, care[:, 0], dt)
         cos, sin = np.cos(self.heading), np.sin(self.heading)
         ahead = cos * wanted[:, 0] + sin * wanted[:, 1]
         aside = np.clip(cos * wanted[:, 1] - sin * wanted[:, 0], -limits.sideways, limits.sideways)
@@ -142,7 +147,7 @@ class PathFollower:
         able = np.stack([cos * ahead - sin * aside, sin * ahead + cos * aside], -1)
         change = (able - self.velocity) * min(dt / limits.response, 1.0)
         size = np.linalg.norm(change, axis=-1, keepdims=True)
-        change *= np.minimum(1.0, limits.acceleration * dt / np.maximum(size, 1e-9))
+        change *= np.minimum(1.0, care * limits.acceleration * dt / np.maximum(size, 1e-9))
         self.velocity = self.velocity + change
         self.position = self.position + self.velocity * dt
 
@@ -159,13 +164,25 @@ class PathFollower:
             1.0, self.limits.fastest * np.exp(-_UPHILL * slope) / np.maximum(pace, 1e-9)
         )
 
-    def _turn(self, wanted: Array, dt: float) -> None:
-        """Face the wanted velocity, the more so the faster it is."""
+    def _care(self, people: Array) -> Array:
+        """Shares (N, 1) of what people can do on level ground that they dare on the slope they stand on.
+
+        Who turns about on stairs as on a pavement falls; people do not.
+        """
+        if self.height_at is None:
+            return np.ones((len(people), 1))
+        heights = self.height_at((people[:, None] + _AROUND).reshape(-1, 2)).reshape(-1, 4)
+        slope = np.hypot(heights[:, 0] - heights[:, 1], heights[:, 2] - heights[:, 3]) / np.ptp(_AROUND[:, 0])
+        return np.exp(-_CAREFUL * slope)[:, None]
+
+    def _turn(self, wanted: Array, care: Array, dt: float) -> None:
+        """Face the wanted velocity, the more so the faster it is, with a share (N,) of the usual turn rate."""
         limits = self.limits
         error = np.arctan2(wanted[:, 1], wanted[:, 0]) - self.heading
         error = (error + np.pi) % (2.0 * np.pi) - np.pi
         pace = np.linalg.norm(wanted, axis=-1)
         resolve = np.clip((pace - 0.15) / 0.25, 0.0, 1.0)
-        rate = np.clip(resolve * error / limits.turn_response, -limits.turn_rate, limits.turn_rate)
+        fastest = care * limits.turn_rate
+        rate = np.clip(resolve * error / limits.turn_response, -fastest, fastest)
         self.turn_rate = self.turn_rate + (rate - self.turn_rate) * min(dt / 0.08, 1.0)
         self.heading = self.heading + self.turn_rate * dt

@@ -19,6 +19,9 @@ from .style import Discriminator
 from .walker_config import StyleConfig, WalkerConfig, WalkerRewards
 from .weights import load_policy
 
+STYLE = Path(__file__).parent.parent / "weights" / "pacer_style_compact.safetensors"
+"""What told the shipped walker from motion capture when its training ended."""
+
 
 def walker_config_from_dict(values: dict[str, Any]) -> WalkerConfig:
     """Settings from what `dataclasses.asdict` and JSON made of them.
