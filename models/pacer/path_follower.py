@@ -173,7 +173,7 @@ class PathFollower:
             return np.ones((len(people), 1))
         heights = self.height_at((people[:, None] + _AROUND).reshape(-1, 2)).reshape(-1, 4)
         slope = np.hypot(heights[:, 0] - heights[:, 1], heights[:, 2] - heights[:, 3]) / np.ptp(_AROUND[:, 0])
-        return np.exp(-_CAREFUL * slope)[:, None]
+        return np.exp(-_CAREFUL * np.minimum(slope, 1.0))[:, None]
 
     def _turn(self, wanted: Array, care: Array, dt: float) -> None:
         """Face the wanted velocity, the more so the faster it is, with a share (N,) of the usual turn rate."""

@@ -87,6 +87,23 @@ def test_a_follower_stays_on_a_straight_path_and_near_a_winding_one():
     assert np.mean(errors) < 0.06
 
 
+def test_a_follower_takes_care_on_slopes():
+    turned, gained = [], []
+    for rise in (0.0, 0.4, 5.0):  # a step beside a drop counts like one to one
+        follower = PathFollower(1)
+        follower.height_at = lambda points, rise=rise: rise * points[:, 1]
+        follower.place(np.array([0]), np.zeros((1, 2)), np.zeros(1), np.ones(1))
+        follower.advance(np.array([[-1.0, 0.1]]), follower.position, 1 / 30)
+        gained.append(np.linalg.norm(follower.velocity - [[1.0, 0.0]]))
+        for _ in range(20):
+            follower.advance(follower.position + np.array([[-1.0, 0.1]]), follower.position, 1 / 30)
+            turned.append(follower.turn_rate[0])
+    fastest = np.reshape(turned, (3, 20)).max(1)
+    shares = np.exp(-1.5 * np.array([0.0, 0.4, 1.0]))
+    np.testing.assert_allclose(np.array(gained) * 30, FollowerLimits().acceleration * shares)
+    np.testing.assert_allclose(fastest, FollowerLimits().turn_rate * shares, rtol=0.02)
+
+
 def test_a_follower_waits_for_the_person():
     follower = PathFollower(1)
     held = np.zeros((1, 2))

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from footfall.models.body import describe
+from footfall.models.body.anthropometry import shape_for
 from footfall.models.pacer.batch_world import Physics
+from footfall.models.pacer.crowd_evaluation import unaware
 from footfall.models.pacer.policy import ActorCritic
 from footfall.models.pacer.walker_config import CONFIGS
 from footfall.models.pacer.walker_env import WalkerEnv
@@ -84,6 +87,17 @@ def test_a_strong_push_throws_more_people_over(gait_alone):
     np.testing.assert_array_equal(pushed.path_error[before], calm.path_error[before])
 
 
+def test_who_does_not_know_their_body_takes_it_for_average(gait_alone):
+    told = replace(SMALL, noise=0.0)
+    untold = unaware(told, "their body")
+    bodies = [describe(shape_for(1.5, 50)), describe(shape_for(2.0, 110))]
+    envs = [WalkerEnv(config, 2, bodies, 0) for config in (told, untold)]
+    knows, guesses = (env.observe() for env in envs)
+    differ = np.flatnonzero((knows != guesses).any(0))
+    assert len(differ) and np.ptp(differ) < 12 and not guesses[:, differ].any()
+    assert unaware(told).manners is False and unaware(told).body_aware
+
+
 def test_settings_survive_json_and_strangers_are_refused(tmp_path, gait_alone):
     config = replace(CONFIGS["compact_terrain"], hidden=(8,))
     assert walker_config_from_dict(json.loads(json.dumps(asdict(config)))) == config
@@ -117,6 +131,13 @@ def test_train_resume_and_evaluate_from_the_command_line(tmp_path, monkeypatch, 
     assert (out / "curve.csv").is_file() == (out / "curve.png").is_file()
     other = ["train", "pacer", "--out", str(tmp_path / "other"), "--init", str(out / "model.safetensors")]
     assert cli.main([*other, "--threads", "1", "--samples", "32"]) == 0
+    few = ["--rollouts", "2", "--people", "2", "--duration", "0.2", "--json"]
+    capsys.readouterr()
+    assert cli.main([*evaluate, "--table", "9", *few]) == 0
+    rows = [(row["terrain"], row["unaware_of"]) for row in json.loads(capsys.readouterr().out)]
+    assert rows[::2] == [("crowd", ""), ("obstacles", ""), ("random", "")]
+    assert rows[1::2] == [("crowd", "others"), ("obstacles", "others"), ("random", "their body")]
+    assert cli.main([*evaluate, "--unaware", "their body", *few]) == 0
     strolls = [*evaluate, "--rollouts", "2", "--duration", "1", "--paths", "strolls"]
     assert cli.main([*strolls, "--json"]) == 0
     assert cli.main([*strolls, "--terrain", "crowd"]) == 2
