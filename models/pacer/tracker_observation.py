@@ -111,7 +111,7 @@ class TrackerObservation:
             for part in self._ahead(ids, reference, ahead, root, way, places, joints, qvel, spin, k == 0)
         ]
         whole = np.concatenate([*own, *told, reference.mask], axis=1, dtype=np.float32, casting="unsafe")
-        return np.clip(np.nan_to_num(whole), -_LIMIT, _LIMIT)
+        return np.clip(np.nan_to_num(whole, copy=False), -_LIMIT, _LIMIT, out=whole)
 
     def _ahead(
         self,
@@ -129,12 +129,12 @@ class TrackerObservation:
         """Differences of the reference `ahead` frames from now."""
         library, body = self.library, self.world.body_index[ids]
         frame = np.minimum(reference.frame + ahead, reference.last)
-        state = library.states[body, frame].astype(float)
         twist = library.root_velocity[body, frame]
-        offset = to_heading(way, state[:, 0, :3] - root[:, :3])
-        axes = two_axes(state[:, 0, 3:7])
-        bodies = list(range(1, N_BODIES)) if full else _KEY_BODIES
-        there = to_heading(way, state[:, bodies, :3] - root[:, None, :3])
+        pelvis = library.states[body, frame, 0, :7].astype(float)
+        offset = to_heading(way, pelvis[:, :3] - root[:, :3])
+        axes = two_axes(pelvis[:, 3:])
+        bodies = slice(1, None) if full else _KEY_BODIES
+        there = to_heading(way, library.states[body, frame, :, :3][:, bodies] - root[:, None, :3])
         told = reference.mask[:, bodies, None]
         return [
             np.clip(3.0 * offset, -3.0, 3.0),
