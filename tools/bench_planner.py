@@ -120,6 +120,7 @@ def street(agents: int, seed: int = 0) -> "tuple[np.ndarray, np.ndarray, Any, li
     import numpy as np
     import torch
 
+    from ..models.trace.evaluation import PASS
     from ..models.trace.objectives import Objective
     from ..models.trace.scene_map import SceneMaps
 
@@ -147,7 +148,7 @@ def street(agents: int, seed: int = 0) -> "tuple[np.ndarray, np.ndarray, Any, li
             blocked[row : row + 15, column : column + 12] = True
             blocks += 1
     wishes = [
-        Objective("waypoint", {"goal": torch.from_numpy(goal), "temperature": 0.05, "widening": 0.3}),
+        Objective("waypoint", {"goal": torch.from_numpy(goal), **PASS}),
         Objective("agent_avoid"),
         Objective("obstacle_avoid"),
     ]

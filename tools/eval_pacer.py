@@ -13,6 +13,7 @@ from ..models.pacer.courses import SHARES, Course, CourseSettings, make_course
 from ..models.pacer.crowd_evaluation import roll_out_together, unaware
 from ..models.pacer.gait_measures import measure_steps
 from ..models.pacer.policy import ActorCritic
+from ..models.pacer.style import Discriminator
 from ..models.pacer.walker import WALKER
 from ..models.pacer.walker_config import WalkerConfig
 from ..models.pacer.walker_evaluation import Rollouts, roll_out, stroll_paths
@@ -83,6 +84,8 @@ def run(args: argparse.Namespace) -> int:
         raise EvaluationError("--push and --paths strolls need --terrain flat or random")
     torch.set_num_threads(args.threads)
     model, config, facts = load_walker(args.model)
+    style = args.style or (STYLE if args.model == WALKER else None)
+    judge = load_discriminator(style) if style else None
     if args.unaware:
         config = unaware(config, args.unaware)
     if args.gait:
@@ -90,11 +93,11 @@ def run(args: argparse.Namespace) -> int:
     elif args.table:
 
         def judged(terrain: str, of: str) -> dict[str, Any]:
-            return evaluate(args, model, unaware(config, of) if of else config, terrain)
+            return evaluate(args, model, unaware(config, of) if of else config, terrain, judge)
 
         tell_table(args.table, args.rollouts, facts.get("samples", 0), judged, args.json, args.write)
     else:
-        figures = evaluate(args, model, config, args.terrain) | {"samples": facts.get("samples", 0)}
+        figures = evaluate(args, model, config, args.terrain, judge) | {"samples": facts.get("samples", 0)}
         if args.json:
             print(json.dumps(figures))
         else:
@@ -112,11 +115,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def evaluate(
-    args: argparse.Namespace, model: ActorCritic, config: WalkerConfig, terrain: str
+    args: argparse.Namespace,
+    model: ActorCritic,
+    config: WalkerConfig,
+    terrain: str,
+    judge: Discriminator | None,
 ) -> dict[str, Any]:
-    """Figures of one kind of ground."""
-    style = args.style or (STYLE if args.model == WALKER else None)
-    judge = load_discriminator(style) if style else None
+    """Figures of one kind of ground; of style, too, with somebody to judge it."""
     shared: dict[str, Any] = {"duration": args.duration, "discriminator": judge, "seed": args.seed}
     if terrain in ("obstacles", "crowd"):
         result = roll_out_together(model, config, args.rollouts, terrain, people=args.people, **shared)  # type: ignore[arg-type]

@@ -15,9 +15,7 @@ Array = NDArray[np.float64]
 _BEND_TIME = 0.2  # s
 _FELT = np.arange(-0.3, 0.91, 0.2)  # m along the way: where the ground's rise is looked at
 _CAREFUL = 1.5  # exponent by which a slope, rise over run, slows turns and changes of velocity
-_AROUND: Array = 0.3 * np.array(
-    [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]
-)  # m, where slopes are felt
+_AROUND: Array = np.array([[0.3, 0.0], [-0.3, 0.0], [0.0, 0.3], [0.0, -0.3]])  # m, where slopes are felt
 _UPHILL = 2.0  # exponent by which a rise over run, up or down, slows people, in the form of Tobler (1993)
 
 

@@ -192,7 +192,7 @@ def observe(
         dtype=np.float32,
         casting="unsafe",
     )
-    return np.clip(np.nan_to_num(whole), -LIMIT, LIMIT)
+    return np.clip(np.nan_to_num(whole, copy=False), -LIMIT, LIMIT, out=whole)
 
 
 MAP_SCALES: NDArray[np.float32] = np.array([5.0, 0.5, 0.5], dtype=np.float32)

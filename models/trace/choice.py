@@ -14,9 +14,7 @@ SAFE = 1e-3
 
 _HARM = 100.0  # weight of what overlaps for real when a sample is chosen anew
 _SOON = 1.5  # s, in which harm counts ten times
-_REGRET = (
-    0.01  # a loss above that of the best sample from which on a mixture is looked for, say 10 cm squared
-)
+_REGRET = 0.01  # a loss above that of one's best sample which is worth a look: 10 cm of a waypoint, squared
 
 
 def choose_samples(losses: dict[str, Tensor], objectives: Sequence[Objective]) -> Tensor:
@@ -159,14 +157,7 @@ def reconsider(
     Of ten scenes of many people none may be without a mishap, though everybody has a sample without; and the sum
     of the losses would pay for a touch with a little more room elsewhere.
 
-    Args:
-        chosen: (A,) sample numbers.
-        losses: (A, M) by label.
-        objectives: With their weights.
-        future: Of all samples.
-
-    Returns:
-        (A,) sample numbers.
+    Arguments and result are those of `regroup`.
     """
     rows = torch.arange(len(chosen))
     if _safe(objectives, {label: loss[rows, chosen] for label, loss in losses.items()}):

@@ -29,6 +29,9 @@ from .windows import CrowdWindows
 
 Found = TypeVar("Found")
 
+PASS = {"temperature": 0.05, "widening": 0.3}
+"""Of waypoints: the nearest state alone is to be there, but people turn round for those behind them."""
+
 WAYPOINT_FRAME = 40  # the waypoint is where the person truly is after four seconds
 
 
@@ -178,9 +181,7 @@ def avoid_agents(scene: TrialScene) -> list[Objective]:
 
 def reach_waypoint(scene: TrialScene) -> list[Objective]:
     """Pass the waypoint at any time."""
-    return [
-        Objective("waypoint", {"goal": torch.from_numpy(scene.goal), "temperature": 0.05, "widening": 0.3})
-    ]
+    return [Objective("waypoint", {"goal": torch.from_numpy(scene.goal), **PASS})]
 
 
 def everything(scene: TrialScene) -> list[Objective]:

@@ -196,7 +196,8 @@ class TracePlanner:
             again = regroup(chosen, losses, objectives, future)
             if (again != chosen).any():
                 self._polish_chosen(again, actions, future, losses, context, future_of, objectives)
-            chosen = reconsider(regroup(again, losses, objectives, future), losses, objectives, future)
+                again = regroup(again, losses, objectives, future)
+            chosen = reconsider(again, losses, objectives, future)
         states = future.states.double().numpy()
         return TraceFutures(
             positions=states[..., :2],
