@@ -92,6 +92,7 @@ class Simulator(Node[Config]):
             count = len(self._bodies)
             self._history = np.zeros((count, HISTORY_STEPS, 7), np.float32)
             self._homes = np.zeros((count, 3))
+            self._boxes = np.array([[BOX_LENGTH, 2 * body.radius, 1.0] for body in self._bodies])
             outgoing.append(BODIES(describe_bodies(self._population, self._bodies)))
         if inbox.new(MAP) or self._world is None:
             self._world = self._build(inbox.require(MAP))
@@ -104,8 +105,7 @@ class Simulator(Node[Config]):
                 self._push(world, steering.command)
         if self._step:
             world.advance(1 / TICK_RATE_HZ)
-        for enter in (enter for admissions in inbox.new(ADMISSIONS) for enter in admissions.enter):
-            self._enter(world, enter)
+        self._enter(world, [enter for admissions in inbox.new(ADMISSIONS) for enter in admissions.enter])
         present = np.flatnonzero(world.present)
         joints = world.joint_states(present)
         outgoing.append(BODY_STATES(BodyStates(self._population.ids[present], joints)))
@@ -133,21 +133,30 @@ class Simulator(Node[Config]):
                 world.enter(agent, state[:7], angles[0], state[7:], rates[0])
         return world
 
-    def _enter(self, world: World, enter: Enter) -> None:
-        if not world.present[enter.id]:
-            self._put(world, enter.id, np.array(enter.position), enter.heading, enter.speed)
-            self._homes[enter.id] = *enter.position, enter.heading
-            self._history[enter.id] = 0.0
+    def _enter(self, world: World, entering: list[Enter]) -> None:
+        here = world.present
+        new = {enter.id: enter for enter in entering if not here[enter.id]}
+        if not new:
+            return
+        agents = list(new)
+        self._homes[agents] = [[*enter.position, enter.heading] for enter in new.values()]
+        self._history[agents] = 0.0
+        self._put(world, agents, self._homes[agents], np.array([enter.speed for enter in new.values()]))
 
-    def _put(self, world: World, agent: int, place: np.ndarray, heading: float, speed: float) -> None:
-        """Put somebody there: at rest, or in mid-stride where physics must be able to go on from it."""
-        one = np.zeros(1, dtype=np.intp)
-        gait = GaitReference([self._bodies[agent]], 1 / TICK_RATE_HZ, world.height_at)
-        foot = np.array([0.5 * (agent % 2)])  # who starts with the left, who with the right one
-        root, joints, twist, rates = gait.place(
-            one, place[None], np.array([heading]), np.array([speed]), foot
-        )
-        world.enter(agent, root[0], joints[0], twist[0], rates[0])
+    def _put(self, world: World, agents: list[int], places: np.ndarray, speeds: np.ndarray) -> None:
+        """Put people (n,) at places (n, 3): at rest, or in mid-stride where physics must be able to go on from it.
+
+        Args:
+            world: where.
+            agents: who.
+            places: m, m, rad.
+            speeds: (n,) m/s.
+        """
+        gait = GaitReference([self._bodies[agent] for agent in agents], 1 / TICK_RATE_HZ, world.height_at)
+        feet = 0.5 * (np.array(agents) % 2)  # who starts with the left, who with the right one
+        starts = gait.place(np.arange(len(agents)), places[:, :2], places[:, 2], speeds, feet)
+        for agent, root, joints, twist, rates in zip(agents, *starts, strict=True):
+            world.enter(agent, root, joints, twist, rates)
 
     def _leave(self, world: World, agent: int) -> None:
         if world.present[agent]:
@@ -188,13 +197,10 @@ class Simulator(Node[Config]):
         before, here = self._history[present, -2], joints[:, 0, :2]
         moved = np.linalg.norm(here - before[:, :2], axis=1) * 10.0
         speed = np.where(before[:, 6] > 0, moved, np.linalg.norm(joints[:, 0, 7:9], axis=1))
-        width = [2 * self._bodies[agent].radius for agent in present]
         self._history[present, -1, :2] = here
         self._history[present, -1, 2] = heading
         self._history[present, -1, 3] = speed
-        self._history[present, -1, 4:7] = np.column_stack(
-            [np.full(len(present), BOX_LENGTH), width, np.ones(len(present))]
-        )
+        self._history[present, -1, 4:7] = self._boxes[present]
         population = self._population
         return AgentStates(population.ids[present], population.groups[present], self._history[present])
 
@@ -230,13 +236,16 @@ class Simulator(Node[Config]):
         states = world.joint_states(new)[:, 0]
         positions = states[:, :3]
         handling = self.config.on_fall
-        for agent, state in zip(new if handling != "report" else (), states.astype(np.float64), strict=False):
-            world.leave(agent)
-            self._down.discard(agent)
-            if handling == "respawn":
-                self._put(world, agent, self._homes[agent, :2], self._homes[agent, 2], 0.0)
-            elif handling == "stand":
-                self._put(world, agent, state[:2], float(yaw(state[3:7])), 0.0)
+        if handling != "report":
+            for agent in new:
+                world.leave(agent)
+            self._down.difference_update(new)
+        if handling == "respawn":
+            self._put(world, new, self._homes[new], np.zeros(len(new)))
+        elif handling == "stand":
+            places = states[:, [0, 1, 3]].astype(np.float64)
+            places[:, 2] = yaw(states[:, 3:7].astype(np.float64))
+            self._put(world, new, places, np.zeros(len(new)))
         yield FALLS(Falls(np.array(new, np.int32), positions, self.config.on_fall))
 
 

@@ -32,6 +32,10 @@ class EvaluationError(ValueError):
     """Numbers that cannot be."""
 
 
+UNAWARE = WALKER.with_name("pacer_unaware_compact.safetensors")
+"""The twin of `WALKER`, trained as one who takes everybody for average (table 9)."""
+
+
 def add_parser(subparsers) -> None:
     """Add `eval pacer` to the command line."""
     parser = subparsers.add_parser("pacer", help="the walker")
@@ -92,8 +96,12 @@ def run(args: argparse.Namespace) -> int:
         tell_steps(measure_steps(model, config), args.json, args.write)
     elif args.table:
 
-        def judged(terrain: str, of: str) -> dict[str, Any]:
-            return evaluate(args, model, unaware(config, of) if of else config, terrain, judge)
+        def judged(terrain: str, of: str, bodies: str | None) -> dict[str, Any]:
+            case = argparse.Namespace(**vars(args) | {"bodies": bodies or args.bodies})
+            walks, told = model, unaware(config, of) if of else config
+            if of == "their body" and args.model == WALKER:
+                walks, told, _ = load_walker(UNAWARE)
+            return evaluate(case, walks, told, terrain, judge)
 
         tell_table(args.table, args.rollouts, facts.get("samples", 0), judged, args.json, args.write)
     else:

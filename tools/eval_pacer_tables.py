@@ -17,15 +17,22 @@ PAPER: dict[str, tuple[Cell, Cell, Cell]] = {
 }
 """Fail rate, path error [m] and discriminator reward of Rempe et al. 2023, table 3, procedural paths."""
 
-GROUNDS_9 = {"others": ("crowd", "obstacles"), "their body": ("random",)}
-"""What people are not aware of, and the grounds on which that is tried; the same weights, not trained anew."""
+GROUNDS_9: dict[str, tuple[tuple[str, ...], str | None]] = {
+    "others": (("crowd", "obstacles"), None),
+    "their body": (("random",), "extreme"),
+}
+"""What people are not aware of, and the grounds and bodies on which that is tried.
+
+Of others: the same weights, not trained anew. Of their body: a twin who was trained so, on bodies as different as can
+be; for a walker without a twin the same weights.
+"""
 
 
 def tell_table(
     number: int,
     rollouts: int,
     samples: int,
-    judged: Callable[[str, str], dict[str, Any]],
+    judged: Callable[[str, str, str | None], dict[str, Any]],
     as_json: bool,
     write: Path | None,
 ) -> None:
@@ -35,21 +42,27 @@ def tell_table(
         number: Of the table.
         rollouts: Of each row.
         samples: The walker was trained on.
-        judged: Figures by ground, and by what people are not aware of: a key of `GROUNDS_9`, or "" for nothing.
+        judged: Figures by ground, by what people are not aware of: a key of `GROUNDS_9`, or "" for nothing; and by
+            bodies, None for those asked for.
         as_json: Print JSON rather than the table.
         write: Markdown file to put it into.
     """
-    cases = [(ground, "") for ground in PAPER]
+    cases: list[tuple[str, str, str | None]] = [(ground, "", None) for ground in PAPER]
     if number == 9:
-        cases = [(g, of) for what, grounds in GROUNDS_9.items() for g in grounds for of in ("", what)]
-    facts = [(ground, of, judged(ground, of)) for ground, of in cases]
+        cases = [
+            (g, of, who) for what, (grounds, who) in GROUNDS_9.items() for g in grounds for of in ("", what)
+        ]
+    facts = [(*case, judged(*case)) for case in cases]
     if as_json:
-        print(json.dumps([{"terrain": ground, "unaware_of": of} | figures for ground, of, figures in facts]))
+        print(
+            json.dumps([{"terrain": ground, "unaware_of": of} | figures for ground, of, _, figures in facts])
+        )
     head = ["ground", "fail rate", "failed by", "path error [m]", "foot skate [m/s]", "disc. reward"]
     rows: list[list[Cell]] = []
-    for ground, of, figures in facts:
+    for ground, of, bodies, figures in facts:
         causes = ", ".join(f"{count} {cause}" for cause, count in figures["falls_by_cause"].items() if count)
-        name = f"{ground}, unaware of {of}" if of else ground
+        name = f"{ground}, bodies of 1.5 to 2 m" if bodies == "extreme" else ground
+        name += f", unaware of {of}" if of else ""
         measures = [figures[key] for key in ("path_error_m", "foot_skate_mps", "disc_reward")]
         rows.append([name, figures["fail_rate"], causes, *measures, *(PAPER[ground] if number == 3 else ())])
     if number == 3:

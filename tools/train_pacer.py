@@ -39,6 +39,9 @@ def add_parser(subparsers) -> None:
         "--motions", type=Path, default=Path("data/motions.npz"), help="motion capture library"
     )
     parser.add_argument(
+        "--body-unaware", action="store_true", help="of a walker who takes everybody for average (table 9)"
+    )
+    parser.add_argument(
         "--film-every",
         type=float,
         default=5e6,
@@ -55,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _config(args: argparse.Namespace) -> WalkerConfig:
     config: WalkerConfig = configured(CONFIGS[args.config], args, "discount", "push_force")
+    config = replace(config, body_aware=not args.body_unaware)
     if args.style is None:
         return config
     if not 0 <= args.style < 1:

@@ -1,6 +1,6 @@
 """The humanoid: skeleton, anthropometry, and the body of a shape vector."""
 
-from .anthropometry import ShapeError, sample_shapes, shape_for
+from .anthropometry import N_SHAPE, ShapeError, sample_shapes, shape_for
 from .body import FOOT_BODIES, LOWER_LEG_BODIES, SOLE_POINTS, Body, describe
 from .skeleton import (
     BODY_INDEX,
@@ -28,6 +28,7 @@ __all__ = [
     "LOWER_LEG_BODIES",
     "N_BODIES",
     "N_JOINTS",
+    "N_SHAPE",
     "PARENTS",
     "SOLE_POINTS",
     "Body",

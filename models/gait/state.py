@@ -12,6 +12,8 @@ from ..body.body import BODY_INDEX, Body
 State = NDArray[Any]
 
 _REACH = 0.15  # m
+MEASURES = ("hip", "thigh", "shank", "toe", "heel", "tip", "pelvis_height")
+"""Fields that tell the body."""
 
 STATE = np.dtype(
     [

@@ -72,6 +72,10 @@ class MotionLibrary:
     def __len__(self) -> int:
         return len(self.clips)
 
+    def states_at(self, body: NDArray[np.intp], frame: NDArray[np.intp]) -> NDArray[np.float32]:
+        """`states` (n, 24, 13) of bodies (n,) in frames (n,); several times as fast as indexing them by both."""
+        return self.states.reshape(-1, *self.states.shape[2:]).take(body * self.states.shape[1] + frame, 0)
+
     @property
     def duration(self) -> float:
         """Of all clips together, s."""

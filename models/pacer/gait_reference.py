@@ -11,14 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..body import JOINT_GAINS, JOINT_INDEX, Body
+from ..body import JOINT_GAINS, JOINT_INDEX, N_SHAPE, Body, describe
 from ..body.skeleton import GAIN_REFERENCE_MASS
 from ..gait import Command, Gait, flat_ground
 from ..gait.footholds import HeightAt
 from ..gait.footsteps import stand
 from ..gait.leg_ik import Legs
 from ..gait.norms import GRAVITY, smoothstep
-from ..gait.state import STATE, State, describe_walker
+from ..gait.state import MEASURES, STATE, State, describe_walker
 from .manners import Manners
 from .path_follower import FollowerLimits, PathFollower
 from .swing_dynamics import HINGES, SwingLegs, leg_angles
@@ -49,6 +49,7 @@ class GaitReference:
         height_at: ground height (m,), m, at world points (m, 2).
         limits: what followers of paths can do.
         manners: how they keep clear of obstacles and each other.
+        body_aware: whether they know their bodies; otherwise they walk as the average body would.
     """
 
     def __init__(
@@ -58,6 +59,7 @@ class GaitReference:
         height_at: HeightAt = flat_ground,
         limits: FollowerLimits | None = None,
         manners: Manners | None = None,
+        body_aware: bool = True,
     ):
         count = len(bodies)
         self.period = period
@@ -83,6 +85,11 @@ class GaitReference:
         """(N, 2) of the weight on each leg."""
         self._support: Array = np.zeros((count, 69))
         """(N, 69) rad by which PD targets are beyond the pose, so as to hold it under load."""
+        self._average: State | None = None
+        if not body_aware:
+            average = describe(np.zeros(N_SHAPE))
+            bodies, self._average = [average] * count, np.zeros(1, STATE)
+            describe_walker(self._average[0], average)
         self._legs = SwingLegs(bodies)
         self._leg_angles: Array = np.zeros((count, 2, 2))
         self._leg_rates: Array = np.zeros((count, 2, 2))
@@ -203,6 +210,9 @@ class GaitReference:
             part.update(Command.of(position + k * step, heading, speed), self.period) for k in (-1, 0, 1)
         ]
         (before, bent), (root, joints), (after, next_joints) = poses
+        if self._average is not None:
+            for name in MEASURES:
+                part.state[name] = self._average[name]
         self._gait.state[ids] = part.state
         self._share[ids], self._support[ids] = 0.5, 0.0
         self.follower.place(ids, position + step, heading, speed)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..gait.footholds import HeightAt
+from .mathops import to_heading
 
 Array = NDArray[np.float64]
 
@@ -69,33 +70,43 @@ def draw_local_maps(
     ground = height_at(cells.reshape(-1, 2)).reshape(count, -1)
     around = 0.1 * np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]), -1).reshape(-1, 2)
     feet = height_at((positions[:, None] + around).reshape(-1, 2)).reshape(count, -1).mean(1)
-    moving = np.zeros((*cells.shape[:2], 2))
-    seer, other = _neighbours(positions, settings, groups)
-    if len(seer):
-        offset = cells[seer] - positions[other][:, None]
-        inside = (np.abs(np.einsum("pmk,pk->pm", offset, ways[other])) < 0.5 * PERSON[0]) & (
-            np.abs(np.einsum("pmk,pk->pm", offset, across[other])) < 0.5 * PERSON[1]
-        )
-        pair, cell = np.nonzero(inside)
-        ground[seer[pair], cell] = height_at(positions[other])[pair] + PERSON[2]
-        moving[seer[pair], cell] = velocities[other[pair]]
-    relative = moving - velocities[:, None]
     out = np.empty((count, len(grid), 3), dtype=np.float32)
+    out[..., 1:] = -to_heading(ways, velocities)[:, None]
+    seer, other = _neighbours(positions + settings.ahead * ways, positions, settings, groups)
+    if len(seer):
+        axes = np.stack([ways, across], 1)
+        pair, cell = _painted(grid, positions[seer] - positions[other], axes[seer], ways[other])
+        seer, other = seer[pair], other[pair]
+        ground[seer, cell] = height_at(positions[other]) + PERSON[2]
+        out[seer, cell, 1:] = to_heading(ways[seer], velocities[other] - velocities[seer])
     out[..., 0] = np.clip(feet[:, None] - ground, -_FARTHEST, _FARTHEST)
-    out[..., 1] = np.einsum("nmk,nk->nm", relative, ways)
-    out[..., 2] = np.einsum("nmk,nk->nm", relative, across)
     return out.reshape(count, settings.cells, settings.cells, 3)
 
 
+def _painted(grid: Array, gap: Array, axes: Array, ways: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Which pairs (k,), and which of the first's cells (k,), have the second of the pair on them.
+
+    Args:
+        grid: (M, 2) m: cells in the heading frame.
+        gap: (P, 2) m, world: from the second to the first.
+        axes: (P, 2, 2) the first's frame: unit vectors ahead and to the left.
+        ways: (P, 2) where the second ones head.
+    """
+    turn = to_heading(ways, axes).swapaxes(1, 2)
+    cells = to_heading(ways, gap)[..., None] + turn @ grid.T  # (P, 2, M), seen by the second
+    inside = np.abs(cells) < 0.5 * np.array(PERSON[:2])[:, None]
+    pair, cell = np.nonzero(inside[:, 0] & inside[:, 1])
+    return pair, cell
+
+
 def _neighbours(
-    positions: Array, settings: MapSettings, groups: NDArray[np.intp] | None
+    middles: Array, positions: Array, settings: MapSettings, groups: NDArray[np.intp] | None
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Pairs of people of whom the second may be on the first one's map."""
-    reach = np.hypot(0.5 * settings.side + abs(settings.ahead), 0.5 * settings.side) + PERSON[1]
-    gap = positions[:, None] - positions[None]
-    near = np.einsum("ijk,ijk->ij", gap, gap) < reach**2
-    np.fill_diagonal(near, False)
-    if groups is not None:
-        near &= groups[:, None] == groups[None]
-    seer, other = np.nonzero(near)
-    return seer, other
+    """Pairs of people of whom the second may be on the first one's map, with its middle (N, 2) there."""
+    reach = np.hypot(settings.side, settings.side) / 2 + np.hypot(*PERSON[:2]) / 2
+    everybody = np.arange(len(positions))
+    groups = np.zeros_like(everybody) if groups is None else groups
+    seer, other = np.nonzero((groups[:, None] == groups) & (everybody[:, None] != everybody))
+    gap = middles[seer] - positions[other]
+    near = np.hypot(gap[:, 0], gap[:, 1]) < reach
+    return seer[near], other[near]

@@ -13,7 +13,7 @@ from .batch_world import EVERYONE, BatchWorld
 from .body_masks import sample_masks
 from .clip_sampler import ClipSampler
 from .config import TrackerConfig
-from .mathops import turn_between
+from .mathops import lengths, turn_between
 from .tracker_observation import Reference, TrackerObservation, sole_heights, standing
 
 Array = NDArray[np.float64]
@@ -156,23 +156,23 @@ class TrackerEnv:
         failed = self.lost(errors) | ~np.isfinite(rewards)
         cut = ~failed & ((self._frame >= self._last) | (self._age >= self.config.episode))
         ended = np.flatnonzero(failed | cut)
-        observations = self.observation.build(EVERYONE, self.reference)
-        cut_observations = observations[cut]
+        left = np.flatnonzero(cut)
+        cut_observations = np.zeros((0, self.observation.size), dtype=np.float32)
+        if len(left):
+            cut_observations = self.observation.build(left, self.reference.take(left))
         if len(ended):
             self.sampler.report(self.clips[ended], self._begun[ended], failed[ended])
             self._begin(ended)
-            observations[ended] = self.observation.build(ended, self.reference.take(ended))
+        observations = self.observe()
         rewards = np.nan_to_num(rewards).astype(np.float32)
         named = {f"term_{name}": value for name, value in terms.items()}
         return Step(observations, rewards, failed, cut, cut_observations, named)
 
     def errors(self) -> TrackingError:
         """Distances of all joints from the reference."""
-        there = self.library.states[self.world.body_index, self._frame, :, :3]
+        there = self.library.states_at(self.world.body_index, self._frame)[..., :3]
         gap = self.world.positions - there
-        places = np.sqrt(np.einsum("nbk,nbk->nb", gap, gap))
-        gap = gap - gap[:, :1]
-        return TrackingError(places, np.sqrt(np.einsum("nbk,nbk->nb", gap, gap)))
+        return TrackingError(lengths(gap), lengths(gap - gap[:, :1]))
 
     def lost(self, errors: TrackingError) -> NDArray[np.bool_]:
         """Whether worlds (N,) fell or are too far from what they were told."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..body import BODY_INDEX, N_BODIES
 from ..motion.library import MotionLibrary
 from .batch_world import BatchWorld, Ids
-from .mathops import heading, to_heading, two_axes
+from .mathops import heading, to_heading, two_axes, within
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,8 @@ class TrackerObservation:
         root, qvel = world.qpos[ids, :7], world.qvel[ids]
         quaternion = root[:, 3:]
         way = heading(quaternion)
-        places = to_heading(way, world.positions[ids] - root[:, None, :3])
+        positions = world.positions[ids]
+        keys = to_heading(way, positions[:, _KEY_BODIES] - root[:, None, :3])
         axes = two_axes(quaternion)
         spin = world.pelvis_spin(ids)
         heights = sole_heights(world, ids, self._soles)
@@ -101,17 +102,17 @@ class TrackerObservation:
             0.3 * to_heading(way, spin),
             joints,
             0.1 * qvel[:, 6:],
-            places[:, _KEY_BODIES].reshape(len(reference.frame), -1),
+            keys.reshape(len(reference.frame), -1),
             5.0 * np.minimum(heights, 0.3).reshape(len(reference.frame), -1),
             standing(heights).reshape(len(reference.frame), -1),
         ]
         told = [
             part
             for k, ahead in enumerate(self.lookahead)
-            for part in self._ahead(ids, reference, ahead, root, way, places, joints, qvel, spin, k == 0)
+            for part in self._ahead(ids, reference, ahead, root, way, positions, joints, qvel, spin, k == 0)
         ]
         whole = np.concatenate([*own, *told, reference.mask], axis=1, dtype=np.float32, casting="unsafe")
-        return np.clip(np.nan_to_num(whole, copy=False), -_LIMIT, _LIMIT, out=whole)
+        return within(whole, _LIMIT)
 
     def _ahead(
         self,
@@ -120,7 +121,7 @@ class TrackerObservation:
         ahead: int,
         root: Array,
         way: Array,
-        places: Array,
+        positions: Array,
         joints: Array,
         qvel: Array,
         spin: Array,
@@ -130,11 +131,12 @@ class TrackerObservation:
         library, body = self.library, self.world.body_index[ids]
         frame = np.minimum(reference.frame + ahead, reference.last)
         twist = library.root_velocity[body, frame]
-        pelvis = library.states[body, frame, 0, :7].astype(float)
+        states = library.states_at(body, frame)
+        pelvis = states[:, 0, :7].astype(float)
         offset = to_heading(way, pelvis[:, :3] - root[:, :3])
         axes = two_axes(pelvis[:, 3:])
         bodies = slice(1, None) if full else _KEY_BODIES
-        there = to_heading(way, library.states[body, frame, :, :3][:, bodies] - root[:, None, :3])
+        gap = to_heading(way, states[:, bodies, :3] - positions[:, bodies])
         told = reference.mask[:, bodies, None]
         return [
             np.clip(3.0 * offset, -3.0, 3.0),
@@ -143,7 +145,7 @@ class TrackerObservation:
             to_heading(way, twist[:, :3] - qvel[:, :3]),
             0.3 * (to_heading(way, twist[:, 3:] - spin)),
             2.0 * (self._joints[body, frame] - joints) * reference.mask[:, self._hinge_body],
-            (3.0 * (there - places[:, bodies]) * told).reshape(len(reference.frame), -1),
+            (3.0 * gap * told).reshape(len(reference.frame), -1),
             library.contacts[frame].reshape(len(reference.frame), -1)
             * np.repeat(reference.mask[:, _FEET], 2, axis=1),
         ]

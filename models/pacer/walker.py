@@ -127,7 +127,9 @@ class Walker:
         speed = np.where(ahead < _RESTING, 0.0, ahead)
         left, right = np.einsum("nfk,nk->fn", states[:, _ANKLES, :2], way)
         config = self.config
-        reference = GaitReference(bodies, self.period, self.height_at, config.limits, self._manners)
+        reference = GaitReference(
+            bodies, self.period, self.height_at, config.limits, self._manners, config.body_aware
+        )
         start = states[:, 0, :2] - (speed * self.period)[:, None] * way
         facing = np.arctan2(way[:, 1], way[:, 0])
         reference.place(np.arange(len(ids)), start, facing, speed, np.where(left > right, 0.0, 0.5))

@@ -101,7 +101,7 @@ class WalkerConfig(LearningConfig):
     manners: bool = True
     """Whether followers go round obstacles and others."""
     body_aware: bool = True
-    """Whether the body's shape is observed (PACER, table 9)."""
+    """Whether gait and policy know the body, or take everybody for average (PACER, table 9)."""
     action_scale: float = 0.4
     """rad of PD target per unit of action."""
     arms: bool = False

@@ -106,7 +106,9 @@ class WalkerEnv:
         """(N,) who is near whom: worlds of one number show people to each other."""
         manners = Manners(int(self.company[-1]) + 1, obstacles) if config.manners else None
         everybody = [bodies[i] for i in self.world.body_index]
-        self.reference = GaitReference(everybody, self.period, self.height_at, config.limits, manners)
+        self.reference = GaitReference(
+            everybody, self.period, self.height_at, config.limits, manners, config.body_aware
+        )
         self.driven = driven_hinges(self.world.hinges, config.arms)
         self.n_actions = len(self.driven)
         self.rng = np.random.default_rng(seed)

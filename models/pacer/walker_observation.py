@@ -13,7 +13,7 @@ from ..gait.footholds import HeightAt
 from ..motion.clip import MIRROR_JOINTS, MIRROR_SIGNS
 from .gait_reference import GaitReference
 from .hinges import hinges_from_states
-from .mathops import heading, rotate, to_heading, two_axes
+from .mathops import heading, rotate, to_heading, two_axes, within
 
 Array = NDArray[np.float64]
 
@@ -192,7 +192,7 @@ def observe(
         dtype=np.float32,
         casting="unsafe",
     )
-    return np.clip(np.nan_to_num(whole, copy=False), -LIMIT, LIMIT, out=whole)
+    return within(whole, LIMIT)
 
 
 MAP_SCALES: NDArray[np.float32] = np.array([5.0, 0.5, 0.5], dtype=np.float32)

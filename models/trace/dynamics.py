@@ -57,15 +57,15 @@ class _Rollout(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, state: Tensor, actions: Tensor, dt: float, limits: UnicycleLimits) -> Tensor:
-        low, high = _bounds(limits, actions.dtype, actions.device)
-        bounded = torch.maximum(torch.minimum(actions, high), low)
-        rates = torch.cumsum(bounded, -2) * dt + state[..., [3, 2]].unsqueeze(-2)
+        low, high, step = _constants(limits, dt, actions.dtype, actions.device)
+        bounded = actions.clamp(low, high)
+        rates = torch.cumsum(bounded, -2) * step + state[..., [3, 2]].unsqueeze(-2)
         speed, heading = rates.unbind(-1)
         cos, sin = heading.cos(), heading.sin()
         moved = torch.stack([speed * cos, speed * sin], -1)
-        positions = torch.cumsum(moved, -2) * dt + state[..., :2].unsqueeze(-2)
+        positions = torch.cumsum(moved, -2) * step + state[..., :2].unsqueeze(-2)
         ctx.save_for_backward(actions, speed, cos, sin)
-        ctx.dt, ctx.limits, ctx.state_shape = dt, limits, state.shape
+        ctx.constants, ctx.state_shape = (low, high, step), state.shape
         return torch.cat([positions, rates.flip(-1)], -1)
 
     @staticmethod
@@ -74,11 +74,11 @@ class _Rollout(torch.autograd.Function):
         (grad,) = grads
         ahead = _sum_ahead(grad[..., :2])  # what all later positions make of a displacement
         x, y = ahead.unbind(-1)
-        by_speed = grad[..., 3] + (cos * x + sin * y) * ctx.dt
-        by_heading = grad[..., 2] + (cos * y - sin * x) * speed * ctx.dt
+        low, high, step = ctx.constants
+        by_speed = grad[..., 3] + (cos * x + sin * y) * step
+        by_heading = grad[..., 2] + (cos * y - sin * x) * speed * step
         by_rates = _sum_ahead(torch.stack([by_speed, by_heading], -1))
-        low, high = _bounds(ctx.limits, actions.dtype, actions.device)
-        by_actions = by_rates * ctx.dt * ((actions >= low) & (actions <= high))
+        by_actions = by_rates * step * ((actions >= low) & (actions <= high))
         by_state = None
         if ctx.needs_input_grad[0]:
             by_state = torch.cat([ahead, by_rates.flip(-1)], -1)[..., 0, :].sum_to_size(ctx.state_shape)
@@ -86,13 +86,14 @@ class _Rollout(torch.autograd.Function):
 
 
 @lru_cache(maxsize=8)
-def _bounds(limits: UnicycleLimits, kind: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Lower and upper bounds (2,) of actions."""
+def _constants(
+    limits: UnicycleLimits, dt: float, kind: torch.dtype, device: torch.device
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Lower and upper bounds (2,) of actions, and the step: a number would be made a tensor at every use."""
     low, high = limits.acceleration
-    return (
-        torch.tensor([low, -limits.yaw_rate], dtype=kind, device=device),
-        torch.tensor([high, limits.yaw_rate], dtype=kind, device=device),
-    )
+    bounds = [[low, -limits.yaw_rate], [high, limits.yaw_rate]]
+    lowest, highest = torch.tensor(bounds, dtype=kind, device=device)
+    return lowest, highest, torch.tensor(dt, dtype=kind, device=device)
 
 
 def _sum_ahead(x: Tensor) -> Tensor:

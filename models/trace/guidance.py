@@ -69,7 +69,8 @@ class Guidance:
             step = gradient * (loss / square.clamp(min=1e-12))[..., None, None]
         else:
             step = gradient * (variance if self.scale == "variance" else 1.0)
-        step = self.strength * step
+        if self.strength != 1.0:
+            step = self.strength * step
         size = step.square().mean((2, 3), keepdim=True).sqrt()
         return step * (self.limit / size.clamp(min=self.limit))
 

@@ -12,7 +12,9 @@ and for a hundred. A new objective is one decorated function:
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import lru_cache
 from inspect import signature
+from math import isfinite
 from typing import Any
 
 import torch
@@ -211,7 +213,13 @@ def per_agent(values: Tensor | float, agents: int, inner: int = 0) -> tuple[Tens
             f"a parameter has the shape {tuple(value.shape)}; it must have {inner} axes, or {inner + 1} of which "
             f"the first counts the {agents} agents"
         )
+    if isfinite(float(value.sum())):  # looked up at every step: this is the quickest way to see that all are
+        return value.reshape(agents, 1, *value.shape[1:]), _everybody(agents)
     given = torch.isfinite(value.reshape(agents, -1)).all(-1)
-    if not given.all():
-        value = torch.where(given.reshape(-1, *[1] * inner), value, 0.0)
+    value = torch.where(given.reshape(-1, *[1] * inner), value, 0.0)
     return value.reshape(agents, 1, *value.shape[1:]), given[:, None]
+
+
+@lru_cache(maxsize=8)
+def _everybody(agents: int) -> Tensor:
+    return torch.ones(agents, 1, dtype=torch.bool)

@@ -107,6 +107,8 @@ class SceneMaps:
 
     def _grid(self, points: Tensor, scene: Tensor) -> Tensor:
         """Where world points (B, P, 2) are in the tall picture, as `grid_sample` counts."""
+        if len(self.origin) == 1:  # then the picture ends where the map does
+            return torch.addcmul(self._offset, points, self._per_metre)
         rows, columns = self.distance.shape[2:]
         cell = (points - self.origin[scene][:, None]) / self.resolution
         x = cell[..., 0].clamp(0, columns - 1)
@@ -118,7 +120,7 @@ class SceneMaps:
         cos, sin = pose[:, 2].cos(), pose[:, 2].sin()
         turn = torch.stack([torch.stack([cos, sin], -1), torch.stack([-sin, cos], -1)], -2)
         rows = self.distance.shape[2]
-        scale = self._scale / self.resolution
+        scale = self._per_metre
         first = torch.stack([torch.zeros_like(scene), scene * rows], -1) * self._scale - 1
         offset = (pose[:, :2] - self.origin[scene]) * scale + first
         low = first[:, 1]
@@ -139,6 +141,16 @@ class SceneMaps:
         up[..., 1:-1, 1:-1] = (field[..., 2:, 1:-1] - field[..., :-2, 1:-1]) / twice
         picture = torch.stack([field, right, up], 2)  # (S, C, 3, H, W)
         return picture.flatten(1, 2).transpose(0, 1).flatten(1, 2)[None]
+
+    @cached_property
+    def _per_metre(self) -> Tensor:
+        """(2,) from metres to twice the share of the tall picture."""
+        return self._scale / self.resolution
+
+    @cached_property
+    def _offset(self) -> Tensor:
+        """(1, 2) where the world's origin is in the picture of a single scene."""
+        return -self.origin * self._scale / self.resolution - 1
 
     @cached_property
     def _scale(self) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 _PARKING = np.array([0.0, 3.0, -100.0])  # m; the absent lie in a row far below the ground
 _SLEEP = mujoco.mjtSleepPolicy
+_CROWDED = 50  # people from whom on a second thread for collisions and islands gains more than it costs
 
 
 class CrowdModel:
@@ -66,6 +68,8 @@ class CrowdModel:
             part.gravcomp = 1.0
         self.model: mujoco.MjModel = spec.compile()
         self.data = mujoco.MjData(self.model)
+        if powered and len(bodies) >= _CROWDED and (os.cpu_count() or 1) > 1:
+            mujoco.mju_threadpool(self.data, 1)  # beside the caller's; the same bytes come out
         self.n_obstacles = len(pieces)
         self.geom_obstacle = np.full(self.model.ngeom, GROUND, dtype=np.intp)
         for i, geoms in enumerate(pieces):

@@ -18,7 +18,7 @@ from footfall.models.body.rotations import matrix_from_quaternion
 from footfall.models.body.skeleton import LITE_JOINTS
 from footfall.models.crowd.convex_obstacles import ObstacleError
 from footfall.models.scene import Obstacle, Terrain
-from footfall.models.world import World, WorldError
+from footfall.models.world import World, WorldError, crowd_model
 from footfall.models.world.contacts import GROUND, NOBODY
 
 # pyright: reportAttributeAccessIssue=false
@@ -311,6 +311,14 @@ def scripted(world):
 @pytest.mark.parametrize("mode", ["kinematic", "physics"])
 def test_the_same_calls_give_the_same_bytes(mode):
     assert scripted(World(PEOPLE, mode=mode)) == scripted(World(PEOPLE, mode=mode))
+
+
+def test_a_second_thread_gives_the_same_bytes(monkeypatch):
+    alone = scripted(World(PEOPLE, mode="physics"))
+    monkeypatch.setattr(crowd_model, "_CROWDED", 1)
+    monkeypatch.setattr(crowd_model.os, "cpu_count", lambda: 2)
+    world = World(PEOPLE, mode="physics")
+    assert scripted(world) == alone and world._crowd.data.threadpool
 
 
 def test_the_absent_change_nothing():

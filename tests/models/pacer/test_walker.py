@@ -140,6 +140,23 @@ def mirrored_motion(motion, hinges):
     )
 
 
+def test_who_does_not_know_their_body_walks_as_the_average_would():
+    tall, average = describe(shape_for(1.95, 95.0)), describe(np.zeros(10))
+    aware, unaware, other = (
+        GaitReference([body], 1 / 30, body_aware=known)
+        for body, known in ((tall, True), (tall, False), (average, True))
+    )
+    one, zero = np.array([0]), np.zeros(1)
+    begun = [gait.place(one, np.zeros((1, 2)), zero, zero, zero)[0] for gait in (aware, unaware, other)]
+    np.testing.assert_array_equal(begun[0], begun[1])  # bodies begin as they are
+    for _ in range(30):
+        for gait in (aware, unaware, other):
+            people = gait.root[:, :2].copy()
+            gait.advance(np.zeros((1, 2)), people, np.zeros((1, 2, 3)), np.ones((1, 2), bool))
+    height = [float(gait.root[0, 2]) for gait in (aware, unaware, other)]
+    assert height[0] - height[2] > 0.08 and abs(height[1] - height[2]) < 0.01
+
+
 def test_the_mirror_is_that_of_a_person_who_walks_mirrored():
     """Left foot leads along a path; right foot leads along the mirrored path: the same but for the mirror."""
     body = describe(np.zeros(10))

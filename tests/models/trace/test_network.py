@@ -3,6 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from footfall.models.trace.blocks import TemporalNorm
 from footfall.models.trace.config import COMPACT, CONFIGS, PAPER, TraceConfig
 from footfall.models.trace.context import ego_context, scene_context, to_frame
 from footfall.models.trace.network import Trace, crowd_field, nearest_neighbors
@@ -246,6 +247,18 @@ def test_config_survives_json_and_names_unknown_fields():
     assert TraceConfig.from_dict(PAPER.to_dict()) == PAPER
     with pytest.raises(ValueError, match="no field 'colour'"):
         TraceConfig.from_dict({"colour": 1})
+
+
+def test_normalising_in_bfloat16_is_as_exact_as_bfloat16():
+    torch.manual_seed(0)
+    for channels, rows in ((64, 7), (64, 230), (128, 7)):
+        norm = TemporalNorm(8, channels).requires_grad_(False)
+        norm.weight.normal_(), norm.bias.normal_()
+        x = torch.randn(rows, channels, 1, 13).bfloat16().to(memory_format=torch.channels_last)
+        exact = torch.nn.functional.group_norm(x.double(), 8, norm.weight.double(), norm.bias.double())
+        assert torch.equal(norm(x.float()), torch.nn.GroupNorm.forward(norm, x.float()))
+        norm.bfloat16()
+        torch.testing.assert_close(norm(x).double(), exact, rtol=2e-2, atol=2e-2)
 
 
 def test_map_and_neighbours_are_looked_up_along_the_last_estimate():
