@@ -5,6 +5,7 @@ import os
 import stat
 import tempfile
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 
 import msgspec
@@ -96,8 +97,8 @@ class OwnRunDir:
     """
 
     def __init__(self, graph: Graph, path: Path | None = None) -> None:
-        home = runs_home()
-        own = home / f"{graph.name}-{os.getpid()}"
+        self._home = runs_home()
+        own = self._unused(f"{graph.name}-{os.getpid()}")
         self.run = RunDir(path.resolve() if path else own)
         self.graph = msgspec.structs.replace(graph, run_dir=str(self.run.path))
         check_paths(self.graph)
@@ -112,13 +113,24 @@ class OwnRunDir:
                 f"{self.run.path}: another graph runs there; choose another --run-dir"
             ) from None
         if path:  # so that it is found where all the others are
-            own.unlink(missing_ok=True)
+            self._drop_links(path)
             own.symlink_to(self.run.path)
         self._clear_sockets()
         (self.run.path / "log").mkdir(mode=0o700, exist_ok=True)
         unfinished = self.run.path / "graph.json.new"
         unfinished.write_bytes(msgspec.json.format(msgspec.json.encode(self.graph)))
         unfinished.replace(self.run.graph_file)
+
+    def _unused(self, name: str) -> Path:
+        """A path of this name; numbered where an ended run's process had the same number."""
+        names = chain([name], (f"{name}-{number}" for number in count(2)))
+        return next(path for path in map(self._home.joinpath, names) if not os.path.lexists(path))
+
+    def _drop_links(self, path: Path) -> None:
+        """Remove links to directories that are gone, and to the one about to be linked."""
+        for link in filter(Path.is_symlink, self._home.iterdir()):
+            if not link.exists() or link.resolve() == path.resolve():
+                link.unlink(missing_ok=True)
 
     def _clear_sockets(self) -> None:
         for entry in self.run.path.iterdir():
