@@ -97,8 +97,8 @@ class OwnRunDir:
     """
 
     def __init__(self, graph: Graph, path: Path | None = None) -> None:
-        self._home = runs_home()
-        own = self._unused(f"{graph.name}-{os.getpid()}")
+        home = runs_home()
+        own = _unused(home, f"{graph.name}-{os.getpid()}")
         self.run = RunDir(path.resolve() if path else own)
         self.graph = msgspec.structs.replace(graph, run_dir=str(self.run.path))
         check_paths(self.graph)
@@ -113,24 +113,13 @@ class OwnRunDir:
                 f"{self.run.path}: another graph runs there; choose another --run-dir"
             ) from None
         if path:  # so that it is found where all the others are
-            self._drop_links(path)
+            _drop_links(home, self.run.path)
             own.symlink_to(self.run.path)
         self._clear_sockets()
         (self.run.path / "log").mkdir(mode=0o700, exist_ok=True)
         unfinished = self.run.path / "graph.json.new"
         unfinished.write_bytes(msgspec.json.format(msgspec.json.encode(self.graph)))
         unfinished.replace(self.run.graph_file)
-
-    def _unused(self, name: str) -> Path:
-        """A path of this name; numbered where an ended run's process had the same number."""
-        names = chain([name], (f"{name}-{number}" for number in count(2)))
-        return next(path for path in map(self._home.joinpath, names) if not os.path.lexists(path))
-
-    def _drop_links(self, path: Path) -> None:
-        """Remove links to directories that are gone, and to the one about to be linked."""
-        for link in filter(Path.is_symlink, self._home.iterdir()):
-            if not link.exists() or link.resolve() == path.resolve():
-                link.unlink(missing_ok=True)
 
     def _clear_sockets(self) -> None:
         for entry in self.run.path.iterdir():
@@ -145,3 +134,16 @@ class OwnRunDir:
         for run in ended[:-KEPT]:
             if not run.path.is_symlink():
                 run.remove()
+
+
+def _unused(home: Path, name: str) -> Path:
+    """A path of this name; numbered where an ended run's process had the same number."""
+    names = chain([name], (f"{name}-{number}" for number in count(2)))
+    return next(path for path in map(home.joinpath, names) if not os.path.lexists(path))
+
+
+def _drop_links(home: Path, target: Path) -> None:
+    """Remove links to directories that are gone, and to the one about to be linked."""
+    for link in filter(Path.is_symlink, home.iterdir()):
+        if not link.exists() or link.resolve() == target:
+            link.unlink(missing_ok=True)
