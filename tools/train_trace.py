@@ -25,6 +25,7 @@ from ..models.trace.config import CONFIGS, TraceConfig
 from ..models.trace.context import Context
 from ..models.trace.crowd_file import Crowds
 from ..models.trace.diffusion import CosineSchedule
+from ..models.trace.distillation import DistilledStep, distillation_loss
 from ..models.trace.network import Trace
 from ..models.trace.training import (
     DenoisingStep,
@@ -39,7 +40,11 @@ from ..models.trace.windows import CrowdWindows
 from .train_curve import draw_curve
 from .train_process import training_process
 
-MODELS = {"trace": (Trace, DenoisingStep, denoising_loss), "vae": (TraceVae, VaeStep, vae_loss)}
+MODELS = {
+    "trace": (Trace, DenoisingStep, denoising_loss),
+    "vae": (TraceVae, VaeStep, vae_loss),
+    "distilled": (Trace, DistilledStep, distillation_loss),
+}
 """By name: the network, what data-parallel training wraps, and the loss."""
 
 
@@ -48,14 +53,23 @@ def add_parser(subparsers) -> None:
     parser = subparsers.add_parser("trace", help="the trajectory diffusion model")
     parser.add_argument("--config", choices=sorted(CONFIGS), default="compact")
     parser.add_argument(
-        "--model", choices=sorted(MODELS), default="trace", help="the diffusion model, or the VAE baseline"
+        "--model", choices=("trace", "vae"), default="trace", help="the diffusion model, or the VAE baseline"
     )
+    add_arguments(parser)
+    parser.add_argument(
+        "--init", type=Path, help="weights to begin with instead of random ones; they bring their statistics"
+    )
+    parser.add_argument(
+        "--drop", type=float, default=0.1, help="probability of dropping the map or the neighbours"
+    )
+    parser.set_defaults(run=run)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what trainings of trajectory models share."""
     folder = Path("data/orca")
     parser.add_argument(
         "--data", type=Path, nargs="+", default=[folder / "maps.npz", folder / "interact.npz"]
-    )
-    parser.add_argument(
-        "--init", type=Path, help="weights to begin with instead of random ones; they bring their statistics"
     )
     parser.add_argument("--out", type=Path, default=None, help="folder (default runs/MODEL_CONFIG)")
     parser.add_argument("--steps", type=int, default=40000, help="optimiser steps (default %(default)s)")
@@ -65,9 +79,6 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--rate", type=float, default=2e-4, help="learning rate (default %(default)s)")
     parser.add_argument(
         "--decay", type=float, default=0.25, help="last part of the steps, with a falling rate"
-    )
-    parser.add_argument(
-        "--drop", type=float, default=0.1, help="probability of dropping the map or the neighbours"
     )
     parser.add_argument(
         "--balance", type=float, default=0.0, help="1: all noise levels count alike; 0: the paper's loss"
@@ -83,7 +94,6 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--full-precision", action="store_true", help="no bfloat16")
     parser.add_argument("--check-every", type=int, default=500, help="steps between validations")
     parser.add_argument("--save-minutes", type=float, default=3.0)
-    parser.set_defaults(run=run)
 
 
 @dataclass
@@ -104,10 +114,13 @@ class TrainingRun:
         world: Number of processes.
     """
 
+    half = False
+    """Whether weights are written in float16."""
+
     def __init__(self, args: argparse.Namespace, rank: int, world: int):
         self.args, self.rank, self.world = args, rank, world
         self.folder: Path = args.out or Path("runs") / f"{args.model}_{args.config}"
-        config = CONFIGS[args.config]
+        config = self.configuration()
         torch.manual_seed(args.seed)
         network, self.single_step, self.loss = MODELS[args.model]
         self.trace = network(config)
@@ -131,6 +144,10 @@ class TrainingRun:
         step = self.single_step(self.trace)
         self.model: nn.Module = nn.parallel.DistributedDataParallel(step) if world > 1 else step
 
+    def configuration(self) -> TraceConfig:
+        """Of the network that learns."""
+        return CONFIGS[self.args.config]
+
     def begin_with(self, path: Path) -> None:
         """Take over weights and statistics, and what they have behind them.
 
@@ -138,7 +155,7 @@ class TrainingRun:
             WeightsError: When the file is missing, or of another configuration.
         """
         tensors, facts = load_tensors(path)
-        if TraceConfig.from_dict(facts["config"]) != self.trace.config:
+        if not self.trace.config.same_shape(TraceConfig.from_dict(facts["config"])):
             raise WeightsError(f"{path} has another configuration than --config {self.args.config}")
         try:
             self.trace.load_state_dict(tensors)
@@ -156,35 +173,30 @@ class TrainingRun:
         """bfloat16 for matrix products, unless told otherwise."""
         return nullcontext() if self.args.full_precision else torch.autocast("cpu", torch.bfloat16)
 
-    def step(self) -> float:
-        """One optimiser step on a batch of one of the sets; draws depend on seed, step and rank only."""
-        number = self.progress.step * self.world + self.rank
-        generator = torch.Generator().manual_seed(self.args.seed * 10**9 + number)
+    def generator(self, number: int) -> torch.Generator:
+        """Of the draws that depend on the seed, this process and a number only."""
+        return torch.Generator().manual_seed(self.args.seed * 10**9 + number * self.world + self.rank)
+
+    def batch_loss(self) -> torch.Tensor:
+        """Loss on a batch of one of the sets; draws depend on seed, step and rank only."""
+        args, generator = self.args, self.generator(self.progress.step)
         data = self.train[int(torch.randint(len(self.train), (1,), generator=generator))]
-        for group in self.optimizer.param_groups:
-            group["lr"] = self.rate()
         with self.autocast():
-            context, actions = self.draw(data, self.args.batch, generator)
+            context, actions = self.draw(data, args.batch, generator)
             context = vary_observation(context, generator)
             options = {}
-            if self.args.model == "trace":
-                args = self.args
-                options = {
-                    "balance": args.balance,
-                    "touch": args.touch,
-                    "calm": args.calm,
-                    "radius": data.radius,
-                }
-            loss = self.loss(
-                self.model,
-                self.trace,
-                self.schedule,
-                context,
-                actions,
-                generator,
-                drop=self.args.drop,
-                **options,
+            if args.model == "trace":
+                options = {name: getattr(args, name) for name in ("balance", "touch", "calm")}
+                options["radius"] = data.radius
+            return self.loss(
+                self.model, self.trace, self.schedule, context, actions, generator, drop=args.drop, **options
             )
+
+    def step(self) -> float:
+        """One optimiser step."""
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.rate()
+        loss = self.batch_loss()
         self.optimizer.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(self.trace.parameters(), 1.0)
@@ -198,7 +210,7 @@ class TrainingRun:
         self, data: CrowdWindows, count: int, generator: torch.Generator
     ) -> tuple[Context, torch.Tensor]:
         """About so many random windows; of whole scenes, where these are learned."""
-        if not self.trace.config.estimate or self.args.model != "trace":
+        if not self.trace.config.estimate or self.args.model == "vae":
             return data.batch(torch.randint(len(data), (count,), generator=generator))
         moments = max(round(count * len(data.moments) / len(data)), 1)
         return data.batch_scenes(torch.randint(len(data.moments), (moments,), generator=generator))
@@ -234,13 +246,8 @@ class TrainingRun:
             "step": before.step + now.step,
             "minutes": round(before.minutes + now.minutes, 2),
             "samples": before.samples + now.samples,
-            "seed": args.seed,
-            "rate": args.rate,
+            **{name: getattr(args, name) for name in ("seed", "rate", "drop", "balance", "touch", "calm")},
             "batch": args.batch * self.world,
-            "drop": args.drop,
-            "balance": args.balance,
-            "touch": args.touch,
-            "calm": args.calm,
             "data": self.sources,
         }
 
@@ -256,7 +263,7 @@ class TrainingRun:
         progress = {"progress": vars(self.progress), "before": vars(self.before)}
         save_tensors(self.folder / "state.safetensors", tensors, {**progress, **self.facts()})
         with self.averaged():
-            save_model(self.folder / "model.safetensors", self.trace, self.facts())
+            save_model(self.folder / "model.safetensors", self.trace, self.facts(), self.half)
 
     def resume(self) -> None:
         """Go on from `state.safetensors`."""
@@ -298,13 +305,13 @@ class TrainingRun:
         )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace, kind: type[TrainingRun] = TrainingRun) -> int:
     """Train until `--steps` or Ctrl-C; both leave a checkpoint."""
     with training_process(args.threads) as stop:
         try:
             if args.steps < 1 or args.batch < 1 or not args.rate > 0:
                 raise ValueError("--steps and --batch must be at least 1 and --rate above 0")
-            training = TrainingRun(args, ranks.number(), ranks.count())
+            training = kind(args, ranks.number(), ranks.count())
         except ValueError as error:
             print(error, file=sys.stderr)
             return 2

@@ -39,6 +39,8 @@ class TraceConfig:
         skip: The noisy input enters the prediction directly, weighted as if the U-Net alone could see clean
             actions up to this error variance only (Karras et al. 2022, table 1, with sigma_data^2 = skip).
             0 is the paper's: the U-Net predicts everything.
+        timesteps: Of a distilled network (`distillation`): the only step indices at which it predicts, from noisy
+            to clean. Empty: it predicts at any.
         history_width: Output features of the ego and neighbour encoders.
         history_hidden: Hidden layers of the ego and neighbour encoders.
         context_hidden: Hidden layers of the joint encoder.
@@ -67,11 +69,20 @@ class TraceConfig:
     activation: Literal["mish", "silu"] = "silu"
     fold: int = 2
     skip: float = 0.0
+    timesteps: tuple[int, ...] = ()
     history_width: int = 128
     history_hidden: tuple[int, ...] = (128, 128)
     context_hidden: tuple[int, ...] = (256,)
     context_width: int = 256
     step_width: int = 32
+
+    def distilled(self, timesteps: tuple[int, ...]) -> "TraceConfig":
+        """The same network for some steps only."""
+        return replace(self, name=f"{self.name}_distilled", timesteps=timesteps)
+
+    def same_shape(self, other: "TraceConfig") -> bool:
+        """Whether weights of one fit the other."""
+        return replace(self, name="", timesteps=()) == replace(other, name="", timesteps=())
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -116,5 +127,8 @@ ABLATIONS = [
     for encoder in ("global", "raster")
 ]
 """Other conditioning on the map (table 5)."""
+
+DISTILLED_STEPS = (99, 90, 70, 28)
+"""Of the distilled network that ships: early ones, where people are led and settle who goes first, are short."""
 
 CONFIGS = {config.name: config for config in (COMPACT, PAPER, *ABLATIONS)}

@@ -5,6 +5,7 @@ prediction of the network for `noisy` at `timesteps[i]`. Step indices run from 0
 """
 
 import math
+from collections.abc import Sequence
 from typing import Protocol
 
 import torch
@@ -50,6 +51,15 @@ class CosineSchedule:
         """The inverse of `noise_from_clean`."""
         a = self.alphas_cumprod[k]
         return (noisy - (1 - a).sqrt() * noise) / a.sqrt()
+
+    def clean_between(self, noisy: Tensor, k: int, later: Tensor, j: int) -> Tensor:
+        """The clean prediction with which one deterministic step of `DDIM` leads from `noisy` at k to `later` at j.
+
+        What a distilled network has to predict (Salimans and Ho 2022, app. G).
+        """
+        a, b = self.alphas_cumprod[k], self.alphas_cumprod[j]
+        ratio = ((1 - b) / (1 - a)).sqrt()
+        return (later - ratio * noisy) / (b.sqrt() - ratio * a.sqrt())
 
     def classifier_free(
         self, conditional: Tensor, unconditional: Tensor, noisy: Tensor, k: int, w: float
@@ -133,13 +143,13 @@ class DDIM:
 
     Args:
         schedule: Noise schedule.
-        steps: Denoising steps.
+        timesteps: Step indices, from noisy to clean.
         eta: 0 is deterministic; 1 draws as much fresh noise as `DDPM` would on these steps.
     """
 
-    def __init__(self, schedule: CosineSchedule, steps: int = 10, eta: float = 0.0):
+    def __init__(self, schedule: CosineSchedule, timesteps: Sequence[int], eta: float = 0.0):
         self.schedule, self.eta = schedule, eta
-        self.timesteps = spaced_timesteps(len(schedule), steps)
+        self.timesteps = list(timesteps)
 
     def step(self, clean: Tensor, noisy: Tensor, i: int, generator: torch.Generator | None = None) -> Tensor:
         """See `Solver.step`."""
@@ -163,12 +173,11 @@ class DPMSolver2M:
 
     Args:
         schedule: Noise schedule.
-        steps: Denoising steps.
-        power: Of the strides, see `spaced_timesteps`.
+        timesteps: Step indices, from noisy to clean.
     """
 
-    def __init__(self, schedule: CosineSchedule, steps: int = 8, power: float = 1.0):
-        self.timesteps = spaced_timesteps(len(schedule), steps, power)
+    def __init__(self, schedule: CosineSchedule, timesteps: Sequence[int]):
+        self.timesteps = list(timesteps)
         a = schedule.alphas_cumprod[self.timesteps].double()
         self._alpha, self._sigma = a.sqrt(), (1 - a).sqrt()
         self._log_snr = torch.log(self._alpha / self._sigma)  # lambda of the paper

@@ -12,7 +12,7 @@ from .network import Trace
 from .windows import CrowdWindows
 
 _READS_ESTIMATE = 0.5  # share of steps that learn with an estimate (Chen et al. 2023)
-_APART = 0.05  # room that people keep beyond their discs [m]
+APART = 0.05  # room that people keep beyond their discs [m]
 _SETTLED = 8  # power of the clean signal's share by which overlaps and trembling count: late on
 
 
@@ -65,24 +65,41 @@ def denoising_loss(
     predicted = model(schedule.add_noise(clean, noise, k), k, context, neighbors, twice)
     guess, truth = trace.unroll(predicted.float(), state), trace.unroll(clean, state)
     a = schedule.alphas_cumprod[k]
-    weight = ((a / (1 - a)) ** (balance / 2)).clamp(0.3, 10.0) if balance else torch.ones(())
-    loss = (weight * ((guess - truth) / trace.trajectory_std).square().mean((1, 2))).mean()
-    settled = a.pow(_SETTLED)
+    loss = state_errors(trace, guess, truth, a, balance)
     if calm:
-        loss = loss + calm * (settled * (predicted.float() - clean).abs().mean((1, 2))).mean()
+        loss = loss + calm * action_errors(predicted.float(), clean, a)
     if not touch or context.rows is None:
         return loss
-    return loss + touch * (settled * overlap(guess, truth, context, 2 * radius + _APART)).mean()
+    return loss + touch * (a.pow(_SETTLED) * overlap(guess, truth, context, 2 * radius + APART)).mean()
 
 
-def overlap(guess: Tensor, truth: Tensor, context: Context, apart: float) -> Tensor:
+def state_errors(trace: Trace, guess: Tensor, truth: Tensor, a: Tensor, balance: float) -> Tensor:
+    """Mean squared error of states and actions (..., T, 6) in standard deviations, (a / (1 - a))^(balance / 2) each.
+
+    Args:
+        trace: Holds the statistics.
+        guess: Predicted.
+        truth: True.
+        a: (...,) share of the clean signal's variance.
+        balance: 0 weighs all alike; weights are kept within 0.3 to 10.
+    """
+    weight = ((a / (1 - a)) ** (balance / 2)).clamp(0.3, 10.0) if balance else torch.ones(())
+    return (weight * ((guess - truth) / trace.trajectory_std).square().mean((-2, -1))).mean()
+
+
+def action_errors(guess: Tensor, truth: Tensor, a: Tensor) -> Tensor:
+    """Mean absolute error of normalised actions (..., T, 2), where little noise is left: a^8 of (...,) a each."""
+    return (a.pow(_SETTLED) * (guess - truth).abs().mean((-2, -1))).mean()
+
+
+def overlap(guess: Tensor, truth: Tensor | None, context: Context, apart: float) -> Tensor:
     """How much nearer people are led to each other than they may be, and than they truly come: (B,) [m].
 
     A mean squared error hardly sees whether two discs just touch or just do not, which the eye sees first.
 
     Args:
         guess: (B, T, >= 2) predicted x, y, ego frame, of all people of some moments.
-        truth: The same, true.
+        truth: The same, true; None where everybody truly keeps apart.
         context: These people, among each other; who does not see somebody owes them nothing.
         apart: Distance of their centres from which on people may come no nearer [m].
 
@@ -96,7 +113,7 @@ def overlap(guess: Tensor, truth: Tensor, context: Context, apart: float) -> Ten
         world = from_frame(paths[..., :2], context.pose)
         return (world[rows] - world[:, None]).square().sum(-1).add(1e-6).sqrt()  # (B, N, T)
 
-    allowed = distance(truth).clamp(max=apart)
+    allowed = apart if truth is None else distance(truth).clamp(max=apart)
     depth = torch.relu(allowed - distance(guess)) * context.neighbors[:, :, -1, 7, None]
     return depth.sum(1).mean(1)
 

@@ -41,9 +41,12 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         raise WeightsError(f"{path} holds no TRACE weights: {error}") from error
 
 
-def save_model(path: Path, model: ActionModel, facts: dict[str, Any]) -> None:
-    """Write a denoiser; `facts` tell how it was trained."""
-    save_tensors(path, model.state_dict(), {"config": model.config.to_dict(), **facts})
+def save_model(path: Path, model: ActionModel, facts: dict[str, Any], half: bool = False) -> None:
+    """Write a denoiser; `facts` tell how it was trained. `half` writes what was learned in float16."""
+    tensors = model.state_dict()
+    if half:
+        tensors |= {name: parameter.half() for name, parameter in model.named_parameters()}
+    save_tensors(path, tensors, {"config": model.config.to_dict(), **facts})
 
 
 def load_model(path: Path) -> tuple[Trace, dict[str, Any]]:

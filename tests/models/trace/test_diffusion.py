@@ -74,7 +74,7 @@ def test_ddpm_equals_the_reference(schedule):
 def test_ddim_equals_the_reference(schedule, steps):
     reference = DDIMScheduler(**REFERENCE, clip_sample=False, timestep_spacing="trailing")
     reference.set_timesteps(steps)
-    solver = DDIM(schedule, steps)
+    solver = DDIM(schedule, spaced_timesteps(K, steps))
     assert solver.timesteps == reference.timesteps.tolist()
     start = noisy = torch.randn(4, 6)
     for k in reference.timesteps:
@@ -86,7 +86,7 @@ def test_noisy_ddim_equals_the_reference(schedule):
     reference = DDIMScheduler(**REFERENCE, clip_sample=False, timestep_spacing="trailing")
     reference.set_timesteps(10)
     first, second = (torch.Generator().manual_seed(1) for _ in range(2))
-    solver = DDIM(schedule, 10, eta=1.0)
+    solver = DDIM(schedule, spaced_timesteps(K, 10), eta=1.0)
     ours = noisy = torch.randn(4, 6)
     for i, k in enumerate(solver.timesteps[:-1]):
         ours = solver.step(denoise(ours, k), ours, i, first)
@@ -100,7 +100,7 @@ def test_multistep_solver_equals_the_reference(schedule, steps, power):
     reference = DPMSolverMultistepScheduler(
         **REFERENCE, timestep_spacing="trailing", solver_order=2, final_sigmas_type="zero"
     )
-    solver = DPMSolver2M(schedule, steps, power)
+    solver = DPMSolver2M(schedule, spaced_timesteps(K, steps, power))
     reference.set_timesteps(steps) if power == 1.0 else reference.set_timesteps(timesteps=solver.timesteps)
     assert solver.timesteps == reference.timesteps.tolist()
     start = noisy = torch.randn(4, 6)
@@ -115,9 +115,10 @@ def gaussian_clean(schedule, noisy, k, deviation):
     return a.sqrt() * deviation**2 / (a * deviation**2 + 1 - a) * noisy
 
 
-@pytest.mark.parametrize("make", [DDPM, lambda s: DDIM(s, 50), lambda s: DPMSolver2M(s, 20)])
-def test_solvers_draw_the_data_distribution(schedule, make):
-    solver, generator = make(schedule), torch.Generator().manual_seed(0)
+@pytest.mark.parametrize(("kind", "steps"), [(DDPM, None), (DDIM, 50), (DPMSolver2M, 20)])
+def test_solvers_draw_the_data_distribution(schedule, kind, steps):
+    solver = kind(schedule, spaced_timesteps(K, steps)) if steps else kind(schedule)
+    generator = torch.Generator().manual_seed(0)
     sample = torch.randn(20000, generator=generator)
     for i, k in enumerate(solver.timesteps):
         sample = solver.step(gaussian_clean(schedule, sample, k, 0.4), sample, i, generator)
@@ -133,8 +134,10 @@ def test_second_order_beats_first_order_on_few_steps(schedule):
             x = solver.step(gaussian_clean(schedule, x, k, 0.4), x, i)
         return x
 
-    exact = solve(DDIM(schedule, 100))
-    error = {s: (solve(s(schedule, 12)) - exact).abs().mean() for s in (DDIM, DPMSolver2M)}
+    exact = solve(DDIM(schedule, range(K - 1, -1, -1)))
+    error = {
+        s: (solve(s(schedule, spaced_timesteps(K, 12))) - exact).abs().mean() for s in (DDIM, DPMSolver2M)
+    }
     assert error[DPMSolver2M] < 0.5 * error[DDIM]
 
 
@@ -142,6 +145,13 @@ def test_noise_and_clean_are_inverse(schedule):
     clean, noisy = torch.randn(2, 7)
     noise = schedule.noise_from_clean(clean, noisy, 40)
     assert torch.allclose(schedule.clean_from_noise(noise, noisy, 40), clean, atol=1e-5)
+
+
+@pytest.mark.parametrize(("k", "j"), [(99, 90), (70, 28), (28, 5)])
+def test_what_leads_from_one_step_to_another_is_found_again(schedule, k, j):
+    clean, noisy = torch.randn(2, 7)
+    later = DDIM(schedule, [k, j]).step(clean, noisy, 0)
+    assert torch.allclose(schedule.clean_between(noisy, k, later, j), clean, atol=1e-4)
 
 
 def test_classifier_free_weights(schedule):

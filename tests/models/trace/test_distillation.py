@@ -1,0 +1,106 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from footfall.models.trace.config import COMPACT, DISTILLED_STEPS
+from footfall.models.trace.context import scene_context
+from footfall.models.trace.diffusion import DDIM, CosineSchedule
+from footfall.models.trace.distillation import (
+    DistilledStep,
+    Paths,
+    distillation_loss,
+    teacher_paths,
+    teacher_timesteps,
+)
+from footfall.models.trace.network import Trace
+from footfall.models.trace.planner import WEIGHTS, Sampling, TracePlanner
+from footfall.models.trace.weights import load_model
+
+SCHEDULE = CosineSchedule(100)
+
+
+@pytest.fixture(scope="module")
+def teacher():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield load_model(WEIGHTS)[0]
+    torch.set_num_threads(threads)
+
+
+def walkers(apart=2.0):
+    """Three who walk side by side along x at 1.2 m/s."""
+    states = torch.zeros(3, 31, 4)
+    states[..., 0] = 0.12 * torch.arange(-30, 1)
+    states[..., 1] = apart * torch.arange(3)[:, None]
+    states[..., 3] = 1.2
+    return states, torch.full((3, 2), 0.8)
+
+
+def test_the_teacher_takes_short_steps_through_all_of_the_students():
+    fine = teacher_timesteps(DISTILLED_STEPS)
+    assert set(DISTILLED_STEPS) <= set(fine) and fine[:2] == [99, 90]  # nothing but noise: one step will do
+    strides = [a - b for a, b in zip(fine[1:], [*fine[2:], 0], strict=True)]
+    assert all(1 <= stride <= 5 for stride in strides)
+
+
+def test_who_predicts_what_is_wanted_arrives_where_the_teacher_does(teacher):
+    context = scene_context(*walkers())
+    paths = teacher_paths(teacher.prepared(False), SCHEDULE, context, torch.Generator().manual_seed(3))
+    solver = DDIM(SCHEDULE, DISTILLED_STEPS)
+    noisy = paths.noisy[:, 0]
+    for i in range(len(DISTILLED_STEPS)):
+        assert torch.allclose(noisy, paths.noisy[:, i], atol=1e-3)
+        noisy = solver.step(paths.clean[:, i], noisy, i)
+    sampling = Sampling(timesteps=tuple(teacher_timesteps(DISTILLED_STEPS)), samples=1, context_weight=0.5)
+    planner = TracePlanner(teacher, replace(sampling, reduced=False))
+    states, size = walkers()
+    plan = planner.plan(states, size, seed=3)  # the same noise, by the sampler itself
+    assert torch.allclose(noisy, plan.actions[:, 0], atol=2e-2)
+
+
+def test_a_step_predicts_at_every_step_what_sampling_would(teacher):
+    context = scene_context(*walkers())
+    noisy, clean = torch.randn(2, 3, 4, 52, 2, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        predicted = DistilledStep(teacher)(Paths(context, noisy, clean), DISTILLED_STEPS)
+        encoding = teacher.encode(context)
+        for i, k in enumerate(DISTILLED_STEPS):
+            known = clean[:, i - 1] if i else None
+            alone = teacher(noisy[:, i], torch.full((3,), k), encoding, estimate=known)
+            assert torch.allclose(predicted[:, i], alone, atol=1e-4)
+
+
+def test_the_loss_is_zero_for_the_teachers_way_and_counts_who_touches():
+    trace, clean = Trace(COMPACT), torch.zeros(3, 4, 52, 2)
+
+    def loss(apart, **weights):
+        paths = Paths(scene_context(*walkers(apart)), torch.randn_like(clean), clean)
+        return distillation_loss(lambda paths, steps: clean, trace, SCHEDULE, paths, **weights).item()
+
+    assert loss(2.0, touch=1.0, calm=1.0) == 0.0
+    assert loss(0.7, calm=1.0) == 0.0  # who follows the teacher is right, though discs overlap
+    # Discs of 0.4 m are to keep 0.05 m more: 0.15 m short of it, of one neighbour or of two.
+    assert loss(0.7, touch=1.0) == pytest.approx(0.15 * (1 + 2 + 1) / 3, abs=1e-3)
+
+
+def test_a_student_learns_to_do_in_four_steps_what_takes_twenty(teacher):
+    generator = torch.Generator().manual_seed(0)
+    paths = [
+        teacher_paths(teacher.prepared(False), SCHEDULE, scene_context(*walkers()), generator)
+        for _ in range(4)
+    ]
+    student = Trace(COMPACT.distilled(DISTILLED_STEPS))
+    student.load_state_dict(teacher.state_dict())
+    optimizer = torch.optim.Adam(student.parameters(), 3e-4)
+
+    def error():
+        step = DistilledStep(student)
+        return torch.stack([distillation_loss(step, student, SCHEDULE, path) for path in paths]).sum()
+
+    before = error().item()
+    for _ in range(15):
+        optimizer.zero_grad()
+        error().backward()
+        optimizer.step()
+    assert error().item() < 0.6 * before
