@@ -18,7 +18,7 @@ from ..models.crowd.planning import PLAN_DT, PLAN_STEPS
 from ..models.crowd.routes import Routes
 from ..models.trace.guidance import Guidance
 from ..models.trace.objectives import Objective, ObjectiveError
-from ..models.trace.planner import SHIPPED, WEIGHTS, TraceFutures, TracePlanner
+from ..models.trace.planner import FEW, WEIGHTS, TraceFutures, TracePlanner
 from ..models.trace.scene_map import SceneMaps
 from ..models.trace.weights import WeightsError
 from .planner_moment import Moment, place_of
@@ -70,7 +70,7 @@ class TraceMethod:
         torch.set_num_threads(threads)
         for name in modules:
             load_objectives(name)
-        sampling = replace(SHIPPED, steps=steps, power=POWER, samples=samples, context_weight=context_weight)
+        sampling = replace(FEW, steps=steps, power=POWER, samples=samples, context_weight=context_weight)
         try:
             self._planner = TracePlanner.load(
                 Path(weights) if weights else WEIGHTS,

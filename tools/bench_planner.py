@@ -28,7 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bench's arguments."""
     parser.add_argument("--agents", type=int, nargs="+", default=list(AGENTS), help="people in the scene")
     parser.add_argument("--samples", type=int, default=10, help="futures a person (default %(default)s)")
-    parser.add_argument("--steps", type=int, default=None, help="denoising steps (default: as shipped)")
+    parser.add_argument(
+        "--steps",
+        type=int,
+        default=None,
+        help="denoising steps (default: as shipped, of a distilled network)",
+    )
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--weights", type=Path, default=None, help="file (default: as shipped)")
     parser.add_argument(
@@ -74,27 +79,26 @@ def measure(
     import torch
 
     from ..models.trace.guidance import Guidance
-    from ..models.trace.planner import SHIPPED, WEIGHTS, TracePlanner
+    from ..models.trace.planner import FEW, WEIGHTS, Sampling, TracePlanner
     from ..models.trace.weights import load_model
 
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
-        trace, _ = load_model(weights or WEIGHTS)
-        sampling = replace(SHIPPED, samples=samples, steps=steps or SHIPPED.steps)
-        ours = TracePlanner(trace, sampling)
+        ours = TracePlanner.load(weights, replace(FEW, steps=steps) if steps else None)
+        ours.sampling = replace(ours.sampling, samples=samples)
         figures: dict[str, Any] = {"plan_ms": {}, "plan_cpu_ms": {}}
         for count in agents:
             wall, cpu = time_plans(ours, count)
             figures["plan_ms"][str(count)], figures["plan_cpu_ms"][str(count)] = round(wall, 1), round(cpu, 1)
         figures["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
         if scenes:
-            slow = replace(sampling, solver="ddpm", temperature=1.0, reduced=False)
-            paper = TracePlanner(trace, slow, Guidance(mode="clean", polish=0))
+            slow = Sampling(solver="ddpm", samples=samples, reduced=False)
+            paper = TracePlanner(load_model(WEIGHTS)[0], slow, Guidance(mode="clean", polish=0))
             figures |= compare(ours, paper, scenes)
     finally:
         torch.set_num_threads(before)
-    return figures | {"samples": samples, "steps": sampling.steps, "threads": threads}
+    return figures | {"sampler": ours.sampling.name(ours.config), "samples": samples, "threads": threads}
 
 
 def time_plans(planner: "TracePlanner", agents: int) -> tuple[float, float]:

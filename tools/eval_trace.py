@@ -2,7 +2,6 @@
 
 import argparse
 import dataclasses
-import functools
 import json
 import os
 import sys
@@ -23,7 +22,7 @@ from ..models.trace.evaluation import (
 )
 from ..models.trace.guidance import Guidance
 from ..models.trace.network import Trace
-from ..models.trace.planner import SHIPPED, WEIGHTS, Sampling, TracePlanner
+from ..models.trace.planner import DISTILLED, FEW, SHIPPED, THOROUGH, WEIGHTS, Sampling, TracePlanner
 from ..models.trace.vae import WEIGHTS as VAE_WEIGHTS
 from ..models.trace.vae import VaePlanner, load_vae
 from ..models.trace.weights import load_model
@@ -37,25 +36,29 @@ QUICK_SCENES = 4
 WORKERS = os.cpu_count() or 1
 UNGUIDED = Sampling(solver="ddpm", samples=3, context_weight=0.5)
 """As the paper's: the unguided row of its table 1 is that of w = 0.5 in its table 7."""
-FEW_STEPS = dataclasses.replace(SHIPPED, samples=3)
-SEVERAL = dataclasses.replace(SHIPPED, samples=20)
-SLOW = Sampling(solver="ddim", steps=20, samples=20)
+FAST = dataclasses.replace(SHIPPED, samples=20)
+SLOW = Sampling(solver="ddpm", samples=20)
+QUICK = Sampling(solver="ddim", steps=20, samples=20)
+"""Instead of `SLOW` with `--quick`, which has no time for 100 steps."""
 FAITHFUL = Sampling(solver="sde", steps=20, samples=20, context_weight=0.5)
 """Of tables 5 and 6: 20 samples of all 100 steps would take a quarter of an hour a row."""
-METHODS: dict[str, tuple[Sampling, Guidance]] = {
-    "noisy": (SLOW, Guidance(mode="noisy")),
-    "clean": (SLOW, Guidance(mode="clean")),
-    "direct": (SEVERAL, Guidance(mode="direct")),
+GUIDANCES = {
+    "noisy": Guidance(mode="noisy"),
+    "clean": Guidance(mode="clean"),
+    "direct_slow": dataclasses.replace(THOROUGH, tries=0),
+    "direct": THOROUGH,
 }
-"""Noisy: eq 5. Clean: eq 6, through the network. Direct: through the dynamics alone, few steps; what the
-planner ships with."""
-CHOICES = ["filter", *METHODS, "vae"]
+"""Noisy: eq 5. Clean: eq 6, through the network. Direct: through the dynamics alone; what the planner ships with.
+It takes the four steps of the distilled network, and tries again where that does not do; all others take the steps
+of the paper."""
+CHOICES = ["filter", *GUIDANCES, "vae"]
 """Filter: choose among unguided samples. VAE: latent optimisation (app. C.4)."""
 
-FEW = 6
-"""Up to so many steps strides and temperature are those of few steps."""
+FEWEST = 6
+"""Up to so many steps strides and temperature of `dpm` are those of few steps."""
 SAMPLERS: list[tuple[str, int]] = [
     ("ddpm", 100),
+    ("distilled", 4),
     ("sde", 20),
     *(("ddim", steps) for steps in (4, 6, 8, 12, 20)),
     *(("dpm", steps) for steps in (3, 4, 5, 6, 8, 12, 20)),
@@ -73,7 +76,14 @@ METRICS = {
 }
 LAST = {"seconds": "CPU s/scene"}
 COLUMNS: dict[str, dict[str, str]] = {
-    "1": {"guide": "guide", "method": "method", "error": "guide error", **METRICS, **LAST},
+    "1": {
+        "guide": "guide",
+        "method": "method",
+        "sampler": "sampler",
+        "error": "guide error",
+        **METRICS,
+        **LAST,
+    },
     "5": {"method": "method", "steps": "steps", "ade": "ADE", "fde": "FDE", **METRICS},
     "6": {
         "method": "method",
@@ -113,6 +123,7 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--data", type=Path, default=Path("data/orca/maps.npz"), help="made by `data orca`")
     parser.add_argument("--split", choices=("val", "test"), default="test", help="settings are tuned on val")
     parser.add_argument("--weights", type=Path, default=WEIGHTS)
+    parser.add_argument("--distilled", type=Path, default=DISTILLED, help="weights of what takes four steps")
     parser.add_argument(
         "--guides", nargs="+", choices=sorted(GUIDES), default=list(GUIDES), help="of table 1"
     )
@@ -151,6 +162,7 @@ def run(args: argparse.Namespace) -> int:
             source = closed_loop.source(trace, facts, trials, args)
             show(args, closed_loop.TABLES[args.table](trace, trials, args), source, f"trace-{args.table}")
             return 0
+        fast = load_model(args.distilled)[0]
         crowds = Crowds.load(args.data)
         limit = QUICK_SCENES if args.quick else args.scenes
         scenes = TrialScenes(crowds, trace.config, args.split, limit)
@@ -158,21 +170,21 @@ def run(args: argparse.Namespace) -> int:
         print(error, file=sys.stderr)
         return 2
     if args.pictures and args.table != "samplers":
-        for path in pictures(trace, scenes, args):
+        for path in pictures(trace, fast, scenes, args):
             print(path)
         return 0
     area = crowds.source.get("area", 15.0)
     source = f"{trace.config.name}, step {facts.get('step')}; {len(scenes)} {args.split} scenes of {area:g} m"
     section = f"trace-{args.table}" + ("" if area == 15 else f"-{area:g}m")
-    rows = show(args, TABLES[args.table](trace, scenes, args), source, section)
+    rows = show(args, TABLES[args.table](trace, fast, scenes, args), source, section)
     if args.pictures:
         print(draw_samplers(args.pictures, rows))
     return 0
 
 
-def pictures(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Path]:
+def pictures(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Path]:
     """Figures 4, 12 and 13, one after the other."""
-    yield draw_guides(args.pictures, TracePlanner(trace, *METHODS["direct"]), scenes)
+    yield draw_guides(args.pictures, TracePlanner(fast, FAST), scenes)
     others = {model.config.name: model for model, _ in map(load_model, args.others)}
     yield draw_samples(args.pictures, trace, scenes, others)
     yield draw_weights(args.pictures, trace, scenes, (0.0, 1.0, 4.0))
@@ -218,42 +230,51 @@ def evaluate_all(
     return evaluate(planner, scenes, wishes, choice, time.process_time, WORKERS)
 
 
-def table_1(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
+def table_1(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
     """Guides by methods."""
-    judge = functools.partial(evaluate_all, scenes)
-    config, methods = trace.config.name, list(args.methods)
+    methods, slow = list(args.methods), QUICK if args.quick else SLOW
+    config, shipped = trace.config.name, fast.config.name
     if "vae" in methods and not VAE_WEIGHTS.is_file():
         methods.remove("vae")
     filtered = {}
     if "filter" in methods and (chosen := {g: GUIDES[g] for g in args.guides if g != "none"}):
-        filtered = evaluate_filter(TracePlanner(trace, SEVERAL), scenes, chosen, time.process_time, WORKERS)
+        filtered = evaluate_filter(TracePlanner(trace, slow), scenes, chosen, time.process_time, WORKERS)
 
-    def reports(guide: str) -> Iterator[tuple[str, Report]]:
-        if guide == "none":
-            for name, sampling in (
-                (
-                    f"{UNGUIDED.solver} {trace.config.diffusion_steps}, w {UNGUIDED.context_weight:g}",
-                    UNGUIDED,
-                ),
-                (f"{FEW_STEPS.solver} {FEW_STEPS.steps}", FEW_STEPS),
-            ):
-                yield name, judge(TracePlanner(trace, sampling), choice="every")
-            if "vae" in methods:
-                yield "vae", judge(VaePlanner(load_vae()[0], 3), choice="every")
-            return
-        for method in methods:
-            if method == "filter":
-                yield method, filtered[guide]
-            elif method == "vae":
-                yield method, judge(VaePlanner(load_vae()[0], 20), GUIDES[guide])
-            else:
-                yield method, judge(TracePlanner(trace, *METHODS[method]), GUIDES[guide])
+    def planner(method: str) -> TracePlanner:
+        if method == "vae":
+            return VaePlanner(load_vae()[0], 20)
+        network, sampling = (fast, FAST) if method == "direct" else (trace, slow)
+        return TracePlanner(network, sampling, GUIDANCES[method])
+
+    def unguided() -> Iterator[tuple[str, TracePlanner]]:
+        yield "none", TracePlanner(trace, UNGUIDED)
+        yield "direct", TracePlanner(fast, dataclasses.replace(FAST, samples=UNGUIDED.samples))
+        if "vae" in methods:
+            yield "vae", VaePlanner(load_vae()[0], UNGUIDED.samples)
+
+    def row(guide: str, method: str, sampler: str, report: Report) -> Row:
+        name = shipped if method == "direct" else config
+        labels: Row = {"guide": guide, "method": method, "sampler": sampler, "config": name}
+        return labels | {"error": guide_error(guide, report), **metrics(report), "seconds": report.seconds}
 
     for guide in args.guides:
         yield from (row for row in paper.TABLE_1 if row["guide"] == guide)
-        for method, report in reports(guide):
-            labels: Row = {"guide": guide, "method": method, "config": config}
-            yield labels | {"error": guide_error(guide, report), **metrics(report), "seconds": report.seconds}
+        if guide == "none":
+            for method, ours in unguided():
+                report = evaluate_all(scenes, ours, choice="every")
+                yield row(guide, method, sampler_name(ours), report)
+            continue
+        for method in methods:
+            if method == "filter":
+                yield row(guide, method, slow.name(trace.config), filtered[guide])
+            else:
+                ours = planner(method)
+                yield row(guide, method, sampler_name(ours), evaluate_all(scenes, ours, GUIDES[guide]))
+
+
+def sampler_name(planner: TracePlanner) -> str:
+    """Of a table's row; a VAE has none."""
+    return "" if isinstance(planner, VaePlanner) else planner.sampling.name(planner.config)
 
 
 def nearest_to_truth(scenes: TrialScenes, planner: TracePlanner) -> Row:
@@ -262,7 +283,7 @@ def nearest_to_truth(scenes: TrialScenes, planner: TracePlanner) -> Row:
     return {"ade": report.ade, "fde": report.fde, **metrics(report)}
 
 
-def table_5(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
+def table_5(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
     """Other samplers and architectures."""
     yield from paper.TABLE_5
     apart = Trace(dataclasses.replace(trace.config, joint=False))
@@ -271,7 +292,7 @@ def table_5(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
     step = load_model(args.weights)[1].get("step")
     planners = [
         (name, step, TracePlanner(trace, FAITHFUL)),
-        (f"{name}, {SEVERAL.solver} {SEVERAL.steps}", step, TracePlanner(trace, SEVERAL)),
+        (f"{fast.config.name}, 4 steps", load_model(args.distilled)[1].get("step"), TracePlanner(fast, FAST)),
         (f"{name}, neighbours at constant velocity", step, TracePlanner(apart.eval(), FAITHFUL)),
     ]
     for path in args.others:
@@ -284,7 +305,7 @@ def table_5(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
         yield {"method": method, "steps": steps, **nearest_to_truth(scenes, planner)}
 
 
-def table_6(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
+def table_6(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
     """Other data and rates of dropping map and neighbours; ours among those of `--others` that differ in them."""
     yield from paper.TABLE_6
     for path in (args.weights, *args.others):
@@ -296,7 +317,7 @@ def table_6(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
         yield {"method": trace.config.name, **labels, "steps": facts["step"], **row}
 
 
-def table_7(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
+def table_7(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
     """The weight of classifier-free sampling."""
     yield from paper.TABLE_7
     for weight in WEIGHTS_OF_CONTEXT:
@@ -305,7 +326,7 @@ def table_7(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iter
         yield {"w": weight, "method": trace.config.name, **metrics(report)}
 
 
-def table_samplers(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
+def table_samplers(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
     """Every sampler without guidance, and with all objectives at once.
 
     `ratio` is the guided waypoint error over that of all 100 steps.
@@ -313,10 +334,13 @@ def table_samplers(trace: Trace, scenes: TrialScenes, args: argparse.Namespace) 
     reference = None
     for solver, steps in SAMPLERS:
         for guide in ("none", "all"):
-            base = SHIPPED if solver == SHIPPED.solver and steps <= FEW else Sampling()
-            samples = (FEW_STEPS if guide == "none" else SEVERAL).samples
-            sampling = dataclasses.replace(base, solver=solver, steps=steps, samples=samples)  # pyright: ignore[reportArgumentType]
-            planner = TracePlanner(trace, sampling, Guidance(mode="direct"))
+            samples = UNGUIDED.samples if guide == "none" else FAST.samples
+            if solver == "distilled":
+                planner = TracePlanner(fast, dataclasses.replace(FAST, samples=samples))
+            else:
+                base = FEW if solver == FEW.solver and steps <= FEWEST else Sampling()
+                sampling = dataclasses.replace(base, solver=solver, steps=steps, samples=samples)  # pyright: ignore[reportArgumentType]
+                planner = TracePlanner(trace, sampling)
             choice = "every" if guide == "none" else "guide"
             report = evaluate_all(scenes, planner, GUIDES[guide], choice)
             reference = reference or (report.waypoint if guide == "all" else None)

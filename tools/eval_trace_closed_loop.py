@@ -14,7 +14,7 @@ from ..models.trace.config import TraceConfig
 from ..models.trace.crowd_file import Crowds
 from ..models.trace.guidance import Guidance
 from ..models.trace.network import Trace
-from ..models.trace.planner import SHIPPED, Sampling, TracePlanner
+from ..models.trace.planner import FEW, Sampling, TracePlanner
 from ..models.trace.rollouts import Rollout, rollouts
 from ..models.trace.vae import WEIGHTS as VAE_WEIGHTS
 from ..models.trace.vae import VaePlanner, load_vae
@@ -29,7 +29,7 @@ SAMPLES = 10  # app. C.5
 VAE_ITERATIONS = 200  # app. C.4
 STRENGTH = {"waypoint": 0.2, "perturbed": 0.2, "groups": 1.0}
 """Of guidance: waypoints gently, as a second later there is another plan (chosen on validation scenes)."""
-_FEW_STEPS = dataclasses.replace(SHIPPED, steps=8, samples=SAMPLES)
+_FEW_STEPS = dataclasses.replace(FEW, steps=8, samples=SAMPLES)
 _MANY_STEPS = Sampling(solver="ddim", steps=20, samples=SAMPLES)
 METHODS: dict[str, tuple[Sampling, Guidance]] = {
     "filter": (_FEW_STEPS, Guidance(strength=0.0, inner_steps=1, polish=0)),

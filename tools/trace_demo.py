@@ -14,7 +14,7 @@ import torch
 
 from ..models.trace.guidance_losses import distance_to
 from ..models.trace.objectives import Future, Objective
-from ..models.trace.planner import SHIPPED, TraceFutures, TracePlanner
+from ..models.trace.planner import FEW, TraceFutures, TracePlanner
 from ..models.trace.scene_map import SceneMaps
 
 SPEED = 1.2  # m/s
@@ -128,7 +128,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path)
     args = parser.parse_args()
-    missed = draw(args.file, TracePlanner.load(sampling=replace(SHIPPED, steps=8)))
+    missed = draw(args.file, TracePlanner.load(sampling=replace(FEW, steps=8)))
     print(f"{args.file}: waypoints missed by {', '.join(f'{m:.2f}' for m in missed)} m")
     return 0
 

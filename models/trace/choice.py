@@ -14,7 +14,9 @@ SAFE = 1e-3
 
 _HARM = 100.0  # weight of what overlaps for real when a sample is chosen anew
 _SOON = 1.5  # s, in which harm counts ten times
-_REGRET = 0.01  # a loss above that of one's best sample which is worth a look: 10 cm of a waypoint, squared
+_REGRET = (
+    0.01  # a loss, or one above that of one's best sample, that is worth a look: 10 cm of a waypoint, squared
+)
 
 
 def choose_samples(losses: dict[str, Tensor], objectives: Sequence[Objective]) -> Tensor:
@@ -176,6 +178,11 @@ def reconsider(
             return mixture.chosen
         mixture.improve(row, torch.arange(alone.shape[1]))
         settled[row] = True
+
+
+def unmet(chosen: Tensor, losses: dict[str, Tensor], objectives: Sequence[Objective]) -> Tensor:
+    """(A,) whose chosen sample (A,) is far from what they alone are asked, by losses (A, M) by label."""
+    return _alone(losses, objectives).gather(1, chosen[:, None])[:, 0] > _REGRET
 
 
 def _alone(losses: dict[str, Tensor], objectives: Sequence[Objective]) -> Tensor:

@@ -41,6 +41,14 @@ class Context:
     def __len__(self) -> int:
         return len(self.ego)
 
+    def take(self, rows: Tensor) -> "Context":
+        """The context of some people (R,), by themselves: nobody is denoised together."""
+        parts = {
+            name: getattr(self, name)[rows]
+            for name in ("ego", "neighbors", "pose", "speed", "scene", "map_known")
+        }
+        return replace(self, rows=None, neighbor_actions=None, moment=None, **parts)
+
     def initial_state(self) -> Tensor:
         """(B, 4) current x, y, heading, speed in the ego frame: zero but for the speed."""
         return torch.nn.functional.pad(self.speed[:, None], (3, 0))

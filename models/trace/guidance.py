@@ -35,6 +35,8 @@ class Guidance:
             deviations.
         polish: More steps for the chosen samples at the end, in mode `direct`, and up to twice as many for the
             objectives of safety alone.
+        tries: How often whoever is still far from what they are asked is denoised again from a part of the noise, in
+            mode `direct`, while all others keep to what they have chosen.
         met: A loss up to this needs no step.
         speeds: Guided futures keep between these speeds [m/s]: nobody is made to walk backwards or to race.
     """
@@ -45,14 +47,17 @@ class Guidance:
     inner_steps: int = 1
     limit: float = 1.0
     polish: int = 6
+    tries: int = 0
     met: float = 0.0
     speeds: tuple[float, float] = (0.0, 3.0)
 
     def __post_init__(self):
         if self.mode not in ("clean", "noisy", "direct") or self.scale not in ("variance", "unit", "polyak"):
             raise GuidanceError(f"there is no guidance mode {self.mode!r} with scale {self.scale!r}")
-        if self.strength < 0 or self.inner_steps < 1 or self.limit <= 0 or self.polish < 0:
-            raise GuidanceError("guidance strength and polish must be >= 0, inner_steps >= 1 and limit > 0")
+        if min(self.strength, self.polish, self.tries) < 0 or self.inner_steps < 1 or self.limit <= 0:
+            raise GuidanceError(
+                "guidance strength, polish and tries must be >= 0, inner_steps >= 1, limit > 0"
+            )
         if not 0 <= self.speeds[0] < self.speeds[1]:
             raise GuidanceError(f"guidance speeds must be a range from 0 m/s upwards, not {self.speeds}")
 

@@ -10,17 +10,23 @@ import torch
 from torch import Tensor
 
 from ..crowd.planning import Futures
-from .choice import SAFE, choose_samples, judge, reconsider, regroup, where_no_worse
+from .choice import unmet
+from .config import DISTILLED_STEPS, TraceConfig
 from .context import Context, scene_context
-from .diffusion import DDIM, DDPM, CosineSchedule, DPMSolver2M, Solver
+from .diffusion import DDIM, DDPM, CosineSchedule, DPMSolver2M, Solver, spaced_timesteps
 from .dynamics import rollout
 from .guidance import FutureOf, Guidance, gradient_of, guide_direct, total_loss
 from .network import Encoding, Trace
 from .objectives import Future, Objective, ObjectiveError
 from .scene_map import SceneMaps
-from .weights import load_model
+from .settling import Candidates
+from .weights import WeightsError, load_model
 
-WEIGHTS = Path(__file__).parent.parent / "weights" / "trace_compact.safetensors"
+_FOLDER = Path(__file__).parent.parent / "weights"
+WEIGHTS = _FOLDER / "trace_compact.safetensors"
+"""For any number of steps."""
+DISTILLED = _FOLDER / "trace_compact_distilled.safetensors"
+"""For the steps of `SHIPPED` only."""
 
 BEYOND = 5.0
 """Goals may lie so far outside the map [m]."""
@@ -28,30 +34,43 @@ BEYOND = 5.0
 
 @dataclass(frozen=True)
 class Sampling:
-    """How futures are drawn; few steps want `SHIPPED`.
+    """How futures are drawn; few steps want `SHIPPED`, or `FEW` where a network is not distilled.
 
     Attributes:
         solver: `dpm` (second order), `ddim` (first order), `sde` (first order with fresh noise at every step)
             or `ddpm` (the paper's: all steps, fresh noise).
         steps: Denoising steps; `ddpm` always takes all.
-        power: Of the strides of `dpm`: 1 makes them even; above 1 they are shorter where it is noisy and people are
+        power: Of the strides: 1 makes them even; above 1 they are shorter where it is noisy and people are
             yet to be led, which serves few steps.
+        timesteps: The step indices themselves, from noisy to clean, instead of `steps` and `power`.
         samples: Futures per agent.
         context_weight: w of classifier-free sampling (eq 4); 0 needs a single network call.
         temperature: Standard deviation of the noise that sampling begins with; a little above 1 makes up for
             the variety that few steps lose. 1 for many.
         reduced: Network in bfloat16.
-        keep: With a previous plan: noise level from which it is denoised again, as a share of all steps.
+        keep: Noise level from which a previous plan, or one that does not do yet, is denoised again, as a share of
+            all steps.
     """
 
     solver: Literal["dpm", "ddim", "sde", "ddpm"] = "dpm"
     steps: int = 8
     power: float = 1.0
+    timesteps: tuple[int, ...] = ()
     samples: int = 10
     context_weight: float = 0.0
     temperature: float = 1.0
     reduced: bool = True
     keep: float = 0.6
+
+    def name(self, config: TraceConfig) -> str:
+        """For tables: solver, number of steps, and w where there is one."""
+        solver = "distilled" if config.timesteps else self.solver
+        steps = config.diffusion_steps if self.solver == "ddpm" else len(self.timesteps) or self.steps
+        return f"{solver} {steps}" + (f", w {self.context_weight:g}" if self.context_weight else "")
+
+    def suits(self, timesteps: tuple[int, ...]) -> bool:
+        """Whether a network distilled for these steps can be sampled so."""
+        return self.timesteps == timesteps and self.solver == "ddim" and not self.context_weight
 
     def make_solver(self, schedule: CosineSchedule) -> Solver:
         """A fresh solver.
@@ -59,20 +78,27 @@ class Sampling:
         Raises:
             ValueError: On an unknown solver or more steps than the schedule has.
         """
+        timesteps = self.timesteps or spaced_timesteps(len(schedule), self.steps, self.power)
         match self.solver:
             case "dpm":
-                return DPMSolver2M(schedule, self.steps, self.power)
+                return DPMSolver2M(schedule, timesteps)
             case "ddim":
-                return DDIM(schedule, self.steps)
+                return DDIM(schedule, timesteps)
             case "sde":
-                return DDIM(schedule, self.steps, eta=1.0)
+                return DDIM(schedule, timesteps, eta=1.0)
             case "ddpm":
                 return DDPM(schedule)
         raise ValueError(f"there is no solver {self.solver!r}; there are dpm, ddim, sde and ddpm")
 
 
-SHIPPED = Sampling(steps=4, power=1.35, temperature=1.05)
-"""What a planner uses unless told otherwise: as few steps as still lead people where they are asked to go."""
+SHIPPED = Sampling(solver="ddim", timesteps=DISTILLED_STEPS, keep=0.71)
+"""What a planner uses unless told otherwise: the four steps of the distilled network."""
+
+THOROUGH = Guidance(limit=2.0, polish=12, tries=2)
+"""How objectives bend the samples unless told otherwise."""
+
+FEW = Sampling(steps=4, power=1.35, temperature=1.05)
+"""What four steps of a network want that is not distilled."""
 
 
 @dataclass(frozen=True)
@@ -93,28 +119,46 @@ class TracePlanner:
 
     Args:
         trace: Trained denoiser.
-        sampling: How futures are drawn; `SHIPPED` by default.
-        guidance: How objectives bend them.
+        sampling: How futures are drawn; by default in the steps of a distilled network, or `FEW`.
+        guidance: How objectives bend them; `THOROUGH` by default.
+
+    Raises:
+        WeightsError: When the network is distilled for other steps than those of `sampling`.
     """
 
     polishes = False
     """Whether chosen samples may get the last steps of mode `direct`."""
 
     def __init__(self, trace: Trace, sampling: Sampling | None = None, guidance: Guidance | None = None):
-        self.sampling, self.guidance = sampling or SHIPPED, guidance or Guidance()
+        steps = trace.config.timesteps
+        default = replace(SHIPPED, timesteps=steps) if steps else FEW
+        self.sampling, self.guidance = sampling or default, guidance or THOROUGH
+        if steps and not self.sampling.suits(steps):
+            raise WeightsError(
+                f"this network is distilled for the steps {', '.join(map(str, steps))} of ddim without "
+                "context_weight; other sampling needs weights that are not distilled"
+            )
         self.trace, self.config = trace.prepared(self.sampling.reduced), trace.config
         self.schedule = CosineSchedule(trace.config.diffusion_steps)
         self.polishes = self.guidance.mode == "direct" and self.guidance.polish > 0
 
     @classmethod
     def load(
-        cls, path: Path = WEIGHTS, sampling: Sampling | None = None, guidance: Guidance | None = None
+        cls, path: Path | None = None, sampling: Sampling | None = None, guidance: Guidance | None = None
     ) -> "TracePlanner":
-        """A planner with trained weights; those shipped with the package by default.
+        """A planner with trained weights.
+
+        Args:
+            path: File; by default those shipped with the package, `DISTILLED` where `sampling` takes their steps and
+                `WEIGHTS` for all else.
+            sampling: How futures are drawn.
+            guidance: How objectives bend them.
 
         Raises:
-            WeightsError: When the file is missing or broken.
+            WeightsError: When the file is missing or broken, or distilled for other steps than those of `sampling`.
         """
+        if path is None:
+            path = DISTILLED if sampling is None or sampling.suits(DISTILLED_STEPS) else WEIGHTS
         return cls(load_model(path)[0], sampling, guidance)
 
     def plan(
@@ -185,27 +229,17 @@ class TracePlanner:
         ids = tuple(range(len(context))) if ids is None else ids
         start = None if previous is None else self._shifted(previous, ids, elapsed)
         actions = self.sample(context, future_of, objectives, generator, start)
-        rows = torch.arange(len(context))
-        with torch.no_grad():
-            future = future_of(actions)
-            losses = judge(objectives, future)
-        chosen = choose_samples(losses, objectives) if objectives else torch.zeros_like(rows)
+        found = Candidates.judged(actions, future_of, objectives)
         if objectives and self.polishes:
-            chosen = regroup(chosen, losses, objectives, future)
-            self._polish_chosen(chosen, actions, future, losses, context, future_of, objectives)
-            again = regroup(chosen, losses, objectives, future)
-            if (again != chosen).any():
-                self._polish_chosen(again, actions, future, losses, context, future_of, objectives)
-                again = regroup(again, losses, objectives, future)
-            chosen = reconsider(again, losses, objectives, future)
-        states = future.states.double().numpy()
+            self._settle(found, context, future_of, objectives, seed)
+        states = found.future.states.double().numpy()
         return TraceFutures(
             positions=states[..., :2],
             headings=states[..., 2],
             speeds=states[..., 3],
-            chosen=chosen.numpy(),
-            losses={label: loss.double().numpy() for label, loss in losses.items()},
-            actions=actions,
+            chosen=found.chosen.numpy(),
+            losses={label: loss.double().numpy() for label, loss in found.losses.items()},
+            actions=found.actions,
             ids=ids,
         )
 
@@ -233,16 +267,14 @@ class TracePlanner:
             start: (A, M, horizon, 2) actions to start from, noised part of the way only.
         """
         sampling, shape = self.sampling, (len(context), self.sampling.samples, self.config.horizon, 2)
-        solver = sampling.make_solver(self.schedule)
+        solver, first = self._from_part_of_the_noise()
         noise = sampling.temperature * torch.randn(shape, generator=generator)
         one = self._encode(context)
         many = [encoding.repeat(sampling.samples) for encoding in one]
-        first = 0
-        if start is not None:
-            level = sampling.keep * (len(self.schedule) - 1)
-            first = next((i for i, k in enumerate(solver.timesteps) if k <= level), len(solver.timesteps) - 1)
-            a = self.schedule.alphas_cumprod[solver.timesteps[first]]
-            noise = a.sqrt() * start + (1 - a).sqrt() * noise
+        if start is None:
+            first = 0
+        else:
+            noise = self._noised(start, noise, solver.timesteps[first])
         noisy, estimate = noise, start
         for i in range(first, len(solver.timesteps)):
             k = solver.timesteps[i]
@@ -256,37 +288,73 @@ class TracePlanner:
             noisy, estimate = solver.step(clean, noisy, i, generator) - shift, clean
         return noisy
 
-    def _polish_chosen(
+    def _settle(
         self,
-        chosen: Tensor,
-        actions: Tensor,
-        future: Future,
-        losses: dict[str, Tensor],
+        found: Candidates,
         context: Context,
         future_of: FutureOf,
         objectives: Sequence[Objective],
+        seed: int,
     ) -> None:
-        """Polish the chosen sample of everybody, in place, where that harms nobody."""
-        rows = torch.arange(len(chosen))
-        before = replace(future, states=future.states[rows, chosen][:, None])
-        best = self._polish(actions[rows, chosen][:, None], context, future_of, objectives)
-        better, best_losses, kept = where_no_worse(best, before, future_of, objectives)
-        actions[rows[kept], chosen[kept]] = best[kept, 0]
-        future.states[rows, chosen] = better.states[:, 0]
-        for label, loss in best_losses.items():
-            losses[label][rows, chosen] = loss[:, 0]
+        """Choose and polish, in place; who is not led where they are asked to go tries again."""
 
-    def _polish(
-        self, best: Tensor, context: Context, future_of: FutureOf, objectives: Sequence[Objective]
+        def bound(actions: Tensor) -> Tensor:
+            return self._within_speeds(actions, context.speed)
+
+        found.settle(future_of, objectives, self.guidance, bound)
+        for attempt in range(1, self.guidance.tries + 1):
+            rows = unmet(found.chosen, found.losses, objectives).nonzero()[:, 0]
+            if not len(rows):
+                break
+            actions, chosen = found.actions.clone(), found.chosen.clone()
+            generator = torch.Generator().manual_seed(seed + attempt * 2**32)
+            actions[rows] = self._resample(rows, found.own, context, future_of, objectives, generator)
+            actions[rows, 0], chosen[rows] = found.own[rows, 0], 0  # what they have is one of the samples
+            again = Candidates.judged(actions, future_of, objectives)
+            found.actions, found.future, found.losses, found.chosen = (
+                actions,
+                again.future,
+                again.losses,
+                chosen,
+            )
+            found.settle(future_of, objectives, self.guidance, bound)
+
+    def _resample(
+        self,
+        rows: Tensor,
+        own: Tensor,
+        context: Context,
+        future_of: FutureOf,
+        objectives: Sequence[Objective],
+        generator: torch.Generator,
     ) -> Tensor:
-        """The chosen samples (A, 1, horizon, 2) after more steps towards what is asked, safety last."""
-        steps, none = self.guidance.polish, torch.zeros(())
-        all_in_turn = replace(self.guidance, inner_steps=steps)
-        safety = replace(self.guidance, inner_steps=2 * steps, met=SAFE)
-        best = guide_direct(best, future_of, objectives, all_in_turn, none, careful=True)
-        best = self._within_speeds(best, context.speed)
-        best = guide_direct(best, future_of, [w for w in objectives if w.safety], safety, none, careful=True)
-        return self._within_speeds(best, context.speed)
+        """New samples (R, M, horizon, 2) of some people (R,), around actions (A, 1, ...) to which all others keep."""
+        sampling = self.sampling
+        solver, first = self._from_part_of_the_noise()
+        many = [encoding.repeat(sampling.samples) for encoding in self._encode(context.take(rows))]
+        estimate = own.expand(-1, sampling.samples, -1, -1).clone()  # of everybody
+        noise = torch.randn(estimate.shape, generator=generator)[rows]  # the same whoever else tries again
+        noisy = self._noised(estimate[rows], noise, solver.timesteps[first])
+        for i in range(first, len(solver.timesteps)):
+            k = solver.timesteps[i]
+            others = (
+                None if context.rows is None else estimate[context.rows[rows]].transpose(1, 2).flatten(0, 1)
+            )
+            estimate[rows] = self._predict(noisy, k, many, estimate[rows], others)
+            guided = guide_direct(estimate, future_of, objectives, self.guidance, self.schedule.variance(k))
+            estimate[rows] = self._within_speeds(guided[rows], context.speed[rows])
+            noisy = solver.step(estimate[rows], noisy, i, generator)
+        return noisy
+
+    def _from_part_of_the_noise(self) -> tuple[Solver, int]:
+        """A solver, and the number of its first step for what is not to be drawn from noise alone."""
+        solver = self.sampling.make_solver(self.schedule)
+        level = self.sampling.keep * (len(self.schedule) - 1)
+        last = len(solver.timesteps) - 1
+        return solver, next((i for i, k in enumerate(solver.timesteps) if k <= level), last)
+
+    def _noised(self, actions: Tensor, noise: Tensor, k: int) -> Tensor:
+        return self.schedule.add_noise(actions, noise, torch.full((len(actions),), k))
 
     def _within_speeds(self, actions: Tensor, speed: Tensor) -> Tensor:
         """The nearest actions (A, M, horizon, 2) whose speeds, from (A,) now, keep the bounds of guidance."""
@@ -336,12 +404,19 @@ class TracePlanner:
         with torch.no_grad():
             return [self.trace.encode(c) for c in contexts]
 
-    def _predict(self, noisy: Tensor, k: int, encodings: list[Encoding], estimate: Tensor | None) -> Tensor:
+    def _predict(
+        self,
+        noisy: Tensor,
+        k: int,
+        encodings: list[Encoding],
+        estimate: Tensor | None,
+        neighbors: Tensor | None = None,
+    ) -> Tensor:
         rows = noisy.flatten(0, 1)
         known = None if estimate is None else estimate.flatten(0, 1)
         steps = torch.full((len(rows),), k)
         with torch.set_grad_enabled(noisy.requires_grad):
-            clean = [self.trace(rows, steps, e, estimate=known).reshape(noisy.shape) for e in encodings]
+            clean = [self.trace(rows, steps, e, neighbors, known).reshape(noisy.shape) for e in encodings]
         if len(clean) == 1:
             return clean[0]
         return self.schedule.classifier_free(clean[0], clean[1], noisy, k, self.sampling.context_weight)

@@ -29,7 +29,7 @@ def test_times_are_reported_by_number_of_people(capsys):
     figures = json.loads(capsys.readouterr().out)
     assert set(figures["plan_ms"]) == set(figures["plan_cpu_ms"]) == {"1", "3"}
     assert min(figures["plan_ms"].values()) > 0
-    assert figures["steps"] == 2 and 50 < figures["memory_mb"] < 3000
+    assert figures["sampler"] == "dpm 2" and 50 < figures["memory_mb"] < 3000
     assert "speedup" not in figures
     assert torch.get_num_threads() == threads
 

@@ -19,7 +19,7 @@ from footfall.models.trace.evaluation import (
 )
 from footfall.models.trace.network import Trace
 from footfall.models.trace.orca_scenes import CrowdSpec, simulate_crowds
-from footfall.models.trace.planner import Sampling, TracePlanner
+from footfall.models.trace.planner import SHIPPED, Sampling, TracePlanner
 from footfall.models.trace.weights import save_model
 from footfall.tools import eval_trace
 
@@ -93,14 +93,36 @@ def test_table_stands_beside_the_papers_figures(crowds, tmp_path, capsys):
     assert run(*shared, "--guides", "waypoint") == 0
     text = page.read_text()
     assert text.startswith("# Results\n\nkept\n") and text.count("begin trace-1") == 1
-    assert "| waypoint | direct |" in text and "| all | direct |" not in text
+    assert "| waypoint | direct | distilled 4 |" in text and "| all | direct |" not in text
+
+
+def test_slow_rows_take_all_steps_but_not_in_haste(crowds, tmp_path, capsys, monkeypatch):
+    crowds.save(tmp_path / "maps.npz")
+    monkeypatch.setattr(eval_trace, "SLOW", Sampling(solver="ddpm", samples=2))
+    monkeypatch.setattr(eval_trace, "QUICK", Sampling(solver="ddim", steps=20, samples=2))
+    data = [
+        "--data",
+        str(tmp_path / "maps.npz"),
+        "--guides",
+        "waypoint",
+        "--methods",
+        "filter",
+        "direct_slow",
+    ]
+    for flags, sampler in (([], "ddpm 100"), (["--quick"], "ddim 20")):
+        assert run(*data, "--json", *flags) == 0
+        rows = json.loads(capsys.readouterr().out)["rows"]
+        ours = [row for row in rows if not row["method"].startswith("paper")]
+        assert [(row["method"], row["sampler"]) for row in ours] == [
+            ("filter", sampler),
+            ("direct_slow", sampler),
+        ]
 
 
 def test_ablations_stand_beside_ours(crowds, tmp_path, capsys, monkeypatch):
     crowds.save(tmp_path / "maps.npz")
-    quick = Sampling(steps=2, samples=2)
-    monkeypatch.setattr(eval_trace, "FAITHFUL", quick)
-    monkeypatch.setattr(eval_trace, "SEVERAL", quick)
+    monkeypatch.setattr(eval_trace, "FAITHFUL", Sampling(steps=2, samples=2))
+    monkeypatch.setattr(eval_trace, "FAST", replace(SHIPPED, samples=2))
     facts = {"step": 3, "drop": 0.05, "data": [{"name": "orca-maps", "scenes": 8}, {"name": "start"}]}
     others = [tmp_path / "never_dropped.safetensors", tmp_path / "global.safetensors"]
     save_model(others[0], Trace(COMPACT), facts)
@@ -161,11 +183,11 @@ def test_pictures_are_drawn(crowds, tmp_path, capsys):
 
 def test_samplers_are_compared_in_a_table_and_a_curve(crowds, tmp_path, capsys, monkeypatch):
     crowds.save(tmp_path / "maps.npz")
-    monkeypatch.setattr(eval_trace, "SAMPLERS", [("ddim", 6), ("dpm", 2), ("dpm", 4)])
+    monkeypatch.setattr(eval_trace, "SAMPLERS", [("ddim", 6), ("distilled", 4), ("dpm", 4)])
     data = ["--data", str(tmp_path / "maps.npz"), "--pictures", str(tmp_path)]
     assert run("--table", "samplers", *data) == 0
     text = capsys.readouterr().out
-    assert text.count("| dpm 4 |") == text.count("| ddim 6 |") == 2
+    assert text.count("| dpm 4 |") == text.count("| ddim 6 |") == text.count("| distilled 4 |") == 2
     assert text.split()[-1].endswith("trace_samplers.png")
     assert (tmp_path / "trace_samplers.png").stat().st_size > 10_000
 

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 import torch
 
+from footfall.models.trace import settling
 from footfall.models.trace.diffusion import CosineSchedule
 from footfall.models.trace.guidance import Guidance
 from footfall.models.trace.objectives import Objective, ObjectiveError
-from footfall.models.trace.planner import SHIPPED, WEIGHTS, Sampling, TracePlanner
+from footfall.models.trace.planner import DISTILLED, FEW, SHIPPED, WEIGHTS, Sampling, TracePlanner
 from footfall.models.trace.scene_map import SceneMaps
-from footfall.models.trace.weights import load_model
+from footfall.models.trace.weights import WeightsError, load_model
 
 GUIDANCES = [
     Guidance(),
@@ -97,8 +98,9 @@ def test_a_plan_of_many_agents_equals_plans_of_few(trace):
     states[1, :, 1] = 40.0  # too far to see each other
     wishes = [Objective("target_speed", {"speed": 1.8})]
     # Every step of guidance lets rounding grow; after those of polishing it is millimetres.
-    for asked, polish, tolerance in (([], 0, 1e-5), (wishes, 0, 1e-3), (wishes, 6, 1e-2)):
-        planner = TracePlanner(trace, replace(SHIPPED, samples=4, reduced=False), Guidance(polish=polish))
+    for asked, polish, tries, tolerance in (([], 0, 0, 1e-5), (wishes, 0, 0, 1e-3), (wishes, 6, 1, 1e-2)):
+        guidance = Guidance(polish=polish, tries=tries)
+        planner = TracePlanner(trace, replace(FEW, samples=4, reduced=False), guidance)
         both = planner.plan(states, size, objectives=asked)
         alone = planner.plan(states[:1], size[:1], objectives=asked)
         assert np.allclose(both.positions[0], alone.positions[0], rtol=0, atol=tolerance)
@@ -147,10 +149,52 @@ def test_polishing_that_does_harm_is_taken_back(trace, monkeypatch):
     states, size = crowd(2)
     states[1, :, 0] = 8.0 - states[1, :, 0]  # they walk towards each other, half a metre beside the line
     states[1, :, 1], states[1, :, 2] = 0.5, np.pi
-    monkeypatch.setattr(TracePlanner, "_polish", lambda self, best, *_: torch.zeros_like(best))  # straight on
+    monkeypatch.setattr(settling, "polished", lambda best, *_: torch.zeros_like(best))  # straight on
     planner = TracePlanner(trace, Sampling(samples=4))
     straight = planner.world_states(torch.zeros(2, 1, 52, 2), torch.as_tensor(states[:, -1]).float())[:, 0]
     assert (straight[0, :, :2] - straight[1, :, :2]).norm(dim=-1).min() < 0.75  # they would touch
     plan = planner.plan(states, size, objectives=[Objective("agent_avoid")])
     paths = plan.positions[np.arange(2), plan.chosen]
     assert np.linalg.norm(paths[0] - paths[1], axis=-1).min() > 0.79
+
+
+def test_distilled_weights_take_their_own_steps_only():
+    planner = TracePlanner.load()
+    assert planner.sampling == SHIPPED and planner.config.timesteps == SHIPPED.timesteps
+    assert planner.sampling.name(planner.config) == "distilled 4"
+    assert TracePlanner.load(sampling=replace(SHIPPED, samples=2)).config.timesteps  # the same steps
+    assert not TracePlanner.load(sampling=FEW).config.timesteps  # weights for any steps
+    for other in (FEW, replace(SHIPPED, context_weight=0.5), replace(SHIPPED, timesteps=(99, 50))):
+        with pytest.raises(WeightsError, match="distilled for the steps 99, 90, 70, 28 of ddim"):
+            TracePlanner.load(DISTILLED, other)
+
+
+def test_who_misses_what_they_are_asked_tries_again_and_the_others_keep_to_their_plans(trace):
+    states, size = crowd(4)
+    goal = torch.tensor(
+        [[5.0, 0.0], [-1.5, 3.5], [5.0, 4.0], [-2.0, 7.0]]
+    )  # two of them behind people's backs
+    wishes = [
+        Objective("waypoint", {"goal": goal, "temperature": 0.05, "widening": 0.3}),
+        Objective("agent_avoid"),
+    ]
+    missed = []
+    for tries in (0, 2):
+        planner = TracePlanner(trace, replace(FEW, samples=4), Guidance(tries=tries))
+        plans = [planner.plan(states, size, objectives=wishes, seed=seed) for seed in range(6)]
+        paths = np.stack([plan.positions[np.arange(4), plan.chosen] for plan in plans])
+        missed.append(np.linalg.norm(paths - goal.numpy()[:, None], axis=-1).min(-1))  # (seeds, people)
+    first, again = missed
+    far = first > 0.15
+    assert far.any() and again[far].mean() < 0.8 * first[far].mean()
+    assert again.max() <= first.max() + 0.05
+    before, after = (
+        TracePlanner(trace, replace(FEW, samples=4), Guidance(tries=tries)).plan(
+            states,
+            size,
+            objectives=[Objective("target_speed", {"speed": torch.tensor([torch.nan] * 3 + [9.0])})],
+        )
+        for tries in (0, 1)
+    )
+    moved = np.linalg.norm(after.positions - before.positions, axis=-1).max((1, 2))
+    assert moved[:3].max() < 1e-6 < moved[3]

@@ -1,0 +1,86 @@
+"""From samples to what everybody follows: choose, polish the chosen ones, choose again."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from .choice import SAFE, choose_samples, judge, reconsider, regroup, where_no_worse
+from .guidance import FutureOf, Guidance, guide_direct
+from .objectives import Future, Objective
+
+_REACHED = 1e-4
+"""A loss up to this needs no polish: a waypoint missed by a centimetre."""
+
+Bound = Callable[[Tensor], Tensor]
+"""From actions (A, M, horizon, 2) to the nearest ones that may be."""
+
+
+@dataclass
+class Candidates:
+    """The samples of a scene, and whose sample everybody takes.
+
+    Attributes:
+        actions: (A, M, horizon, 2) normalised.
+        future: What follows from them.
+        losses: (A, M) by label.
+        chosen: (A,) sample numbers.
+    """
+
+    actions: Tensor
+    future: Future
+    losses: dict[str, Tensor]
+    chosen: Tensor
+
+    @classmethod
+    def judged(cls, actions: Tensor, future_of: FutureOf, objectives: Sequence[Objective]) -> "Candidates":
+        """Of these actions, with the sample that the paper chooses; the first where nothing is asked."""
+        with torch.no_grad():
+            future = future_of(actions)
+            losses = judge(objectives, future)
+        first = torch.zeros(len(actions), dtype=torch.long)
+        return cls(actions, future, losses, choose_samples(losses, objectives) if objectives else first)
+
+    @property
+    def own(self) -> Tensor:
+        """(A, 1, horizon, 2) the chosen actions."""
+        return self.actions[torch.arange(len(self.chosen)), self.chosen][:, None]
+
+    def settle(
+        self, future_of: FutureOf, objectives: Sequence[Objective], guidance: Guidance, bound: Bound
+    ) -> None:
+        """Let everybody take the sample that suits them, polish it, and look again where that changed a choice."""
+        chosen = regroup(self.chosen, self.losses, objectives, self.future)
+        for _ in range(2):
+            self.chosen = chosen
+            self._polish(future_of, objectives, guidance, bound)
+            chosen = regroup(chosen, self.losses, objectives, self.future)
+            if torch.equal(chosen, self.chosen):
+                break
+        self.chosen = reconsider(chosen, self.losses, objectives, self.future)
+
+    def _polish(
+        self, future_of: FutureOf, objectives: Sequence[Objective], guidance: Guidance, bound: Bound
+    ) -> None:
+        """Polish the chosen sample of everybody, in place, where that harms nobody."""
+        rows, chosen = torch.arange(len(self.chosen)), self.chosen
+        before = replace(self.future, states=self.future.states[rows, chosen][:, None])
+        best = polished(self.own, future_of, objectives, guidance, bound)
+        better, losses, kept = where_no_worse(best, before, future_of, objectives)
+        self.actions[rows[kept], chosen[kept]] = best[kept, 0]
+        self.future.states[rows, chosen] = better.states[:, 0]
+        for label, loss in losses.items():
+            self.losses[label][rows, chosen] = loss[:, 0]
+
+
+def polished(
+    actions: Tensor, future_of: FutureOf, objectives: Sequence[Objective], guidance: Guidance, bound: Bound
+) -> Tensor:
+    """Actions (A, 1, horizon, 2) after `guidance.polish` steps towards what is asked, safety last."""
+    none = torch.zeros(())
+    in_turn = replace(guidance, inner_steps=guidance.polish, met=_REACHED)
+    safety = replace(guidance, inner_steps=2 * guidance.polish, met=SAFE)
+    best = bound(guide_direct(actions, future_of, objectives, in_turn, none, careful=True))
+    wishes = [wish for wish in objectives if wish.safety]
+    return bound(guide_direct(best, future_of, wishes, safety, none, careful=True))
