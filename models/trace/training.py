@@ -118,6 +118,20 @@ def overlap(guess: Tensor, truth: Tensor | None, context: Context, apart: float)
     return depth.sum(1).mean(1)
 
 
+def intrusion(guess: Tensor, context: Context, apart: float) -> Tensor:
+    """How much nearer people are led to obstacles than they may be: (B,) [m], averaged over time; 0 without a map.
+
+    Args:
+        guess: (B, T, >= 2) predicted x, y, ego frame.
+        context: These people.
+        apart: Distance of their centres from which on obstacles may come no nearer [m].
+    """
+    if context.maps is None:
+        return torch.zeros(len(guess))
+    clearance = context.maps.layer("obstacle").sample(from_frame(guess[..., :2], context.pose), context.scene)
+    return torch.relu(apart - clearance.reshape(guess.shape[:2])).mean(1) * context.map_known
+
+
 def vary_observation(context: Context, generator: torch.Generator, late: float = 0.3) -> Context:
     """The same people seen otherwise, as they are seen in use and never in simulated crowds.
 

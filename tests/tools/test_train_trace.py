@@ -12,8 +12,9 @@ import torch
 
 from footfall.models.trace.crowd_file import pack_crowds
 from footfall.models.trace.orca_scenes import CrowdSpec, simulate_crowds
+from footfall.models.trace.planner import DISTILLED
 from footfall.models.trace.weights import load_model, load_tensors
-from footfall.tools import train_trace
+from footfall.tools import train_distil, train_trace
 
 
 @pytest.fixture(scope="module")
@@ -145,3 +146,33 @@ def test_weights_to_begin_with_bring_what_they_have_behind_them(data, tmp_path, 
     assert torch.equal(again, old)
     assert run(data, tmp_path / "third", 1, "--config", "compact_global", *begin[:2]) == 2
     assert "another configuration than --config compact_global" in capsys.readouterr().err
+
+
+def distil(data, out, steps, *more):
+    parser = argparse.ArgumentParser()
+    train_distil.add_parser(parser.add_subparsers())
+    args = parser.parse_args(["distil", *arguments(data, out, steps)[1:], "--reuse", "2", *more])
+    return args.run(args)
+
+
+def test_a_student_resumes_as_if_it_had_gone_on_and_knows_its_steps(data, tmp_path):
+    steps = ["--timesteps", "99", "60", "20", "--touch", "1", "--rate", "0.05"]  # a 500th at first
+    assert distil(data, tmp_path / "whole", 4, *steps) == 0
+    assert distil(data, tmp_path / "parts", 3, *steps) == 0
+    assert distil(data, tmp_path / "parts", 4, *steps) == 0
+    whole, parts = weights(tmp_path / "whole"), weights(tmp_path / "parts")
+    assert all(torch.allclose(whole[k], parts[k], atol=1e-5) for k in whole)
+    file = tmp_path / "whole" / "model.safetensors"
+    model, facts = load_model(file)
+    assert model.config.name == "compact_distilled" and model.config.timesteps == (99, 60, 20)
+    assert facts["context_weight"] == 0.5 and facts["step"] == 66804
+    assert load_tensors(file)[0]["joint.0.weight"].dtype == torch.float16
+    more = ["--init", str(file), "--timesteps", "99", "50"]
+    assert distil(data, tmp_path / "more", 1, *more) == 0  # a student begins with another
+
+
+def test_a_student_cannot_teach_and_steps_must_fall(data, tmp_path, capsys):
+    assert distil(data, tmp_path, 1, "--timesteps", "20", "60") == 2
+    assert "step indices that fall" in capsys.readouterr().err
+    assert distil(data, tmp_path, 1, "--teacher", str(DISTILLED)) == 2
+    assert "is distilled itself" in capsys.readouterr().err

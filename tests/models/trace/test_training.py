@@ -7,10 +7,12 @@ from footfall.models.trace.config import COMPACT
 from footfall.models.trace.context import scene_context
 from footfall.models.trace.diffusion import CosineSchedule
 from footfall.models.trace.network import Trace
+from footfall.models.trace.scene_map import SceneMaps
 from footfall.models.trace.training import (
     DenoisingStep,
     MovingAverage,
     denoising_loss,
+    intrusion,
     overlap,
     vary_observation,
 )
@@ -72,6 +74,22 @@ def test_two_owe_each_other_the_distance_they_truly_keep():
     half_of_the_time = 0.5 * (0.7 - 0.2)
     assert depth[:2].tolist() == pytest.approx([half_of_the_time] * 2, abs=1e-4)
     assert depth[2] == 0.0
+
+
+def test_walking_into_a_wall_counts_by_its_depth_where_the_map_is_known():
+    axis = torch.arange(-5.0, 5.0, 0.1)
+    wall = (axis > 2.0).expand(100, 100)  # fills the half plane beyond x = 2
+    maps = SceneMaps.from_raster({"obstacle": wall.numpy()}, 0.1, (-5.0, -5.0))
+    states = torch.zeros(2, 31, 4)
+    states[..., 2] = torch.pi / 2  # both look along y, and have walked to the left of the wall
+    context = scene_context(states, torch.full((2, 2), 0.8), maps)
+    guess = torch.zeros(2, 52, 2)
+    guess[:, 26:, 1] = -1.8  # to the right of them, 0.2 m before the wall, half of the time
+    depth = intrusion(guess, context, apart=0.4)
+    assert depth.tolist() == pytest.approx([0.5 * (0.4 - 0.2)] * 2, abs=0.03)
+    unknown = context.drop(torch.tensor([True, False]), torch.tensor([False, False]))
+    assert intrusion(guess, unknown, apart=0.4)[0] == 0.0 < intrusion(guess, unknown, apart=0.4)[1]
+    assert intrusion(guess, scene_context(states, torch.full((2, 2), 0.8)), 0.4).tolist() == [0.0, 0.0]
 
 
 def test_absolute_errors_of_actions_count_where_people_have_settled():
