@@ -60,6 +60,7 @@ class Distillation(train_trace.TrainingRun):
         args.init, args.config = args.init or args.teacher, teacher.config.name
         super().__init__(args, rank, world)
         self.paths = lru_cache(KEPT)(self._paths)
+        self._known: list[tuple[CrowdWindows, Paths]] | None = None
 
     def configuration(self) -> TraceConfig:
         """The teacher's, for some of its steps."""
@@ -74,11 +75,11 @@ class Distillation(train_trace.TrainingRun):
         return self._loss(*self.paths(number))
 
     @torch.no_grad()
-    def validate(self) -> list[float]:
-        """Loss of the averaged weights on fixed paths of each validation set."""
+    def validate(self, windows: int = 256) -> list[float]:
+        """Loss of the averaged weights on fixed paths, of about so many people of each validation set."""
         with self.averaged():
             step = DistilledStep(self.trace)
-            return [float(self._loss(paths, data.radius, step)) for data, paths in self._validation()]
+            return [float(self._loss(paths, data.radius, step)) for data, paths in self._validation(windows)]
 
     def facts(self) -> dict:
         """What the weights say about their making."""
@@ -117,9 +118,10 @@ class Distillation(train_trace.TrainingRun):
             self.teacher, self.schedule, context, generator, args.timesteps, args.context_weight
         )
 
-    def _validation(self) -> list[tuple[CrowdWindows, Paths]]:
-        if not hasattr(self, "_known"):
-            self._known = [(d, self._follow(d, 256, torch.Generator().manual_seed(1))) for d in self.val]
+    def _validation(self, windows: int) -> list[tuple[CrowdWindows, Paths]]:
+        if self._known is None:
+            draws = [torch.Generator().manual_seed(1) for _ in self.val]
+            self._known = [(d, self._follow(d, windows, g)) for d, g in zip(self.val, draws, strict=True)]
         return self._known
 
 

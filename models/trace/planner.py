@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
@@ -11,13 +10,14 @@ from torch import Tensor
 
 from ..crowd.planning import Futures
 from .choice import unmet
-from .config import DISTILLED_STEPS, TraceConfig
+from .config import DISTILLED_STEPS
 from .context import Context, scene_context
-from .diffusion import DDIM, DDPM, CosineSchedule, DPMSolver2M, Solver, spaced_timesteps
+from .diffusion import CosineSchedule, Solver
 from .dynamics import rollout
 from .guidance import FutureOf, Guidance, gradient_of, guide_direct, total_loss
 from .network import Encoding, Trace
 from .objectives import Future, Objective, ObjectiveError
+from .sampling import FEW, SHIPPED, Sampling
 from .scene_map import SceneMaps
 from .settling import Candidates
 from .weights import WeightsError, load_model
@@ -32,73 +32,8 @@ BEYOND = 5.0
 """Goals may lie so far outside the map [m]."""
 
 
-@dataclass(frozen=True)
-class Sampling:
-    """How futures are drawn; few steps want `SHIPPED`, or `FEW` where a network is not distilled.
-
-    Attributes:
-        solver: `dpm` (second order), `ddim` (first order), `sde` (first order with fresh noise at every step)
-            or `ddpm` (the paper's: all steps, fresh noise).
-        steps: Denoising steps; `ddpm` always takes all.
-        power: Of the strides: 1 makes them even; above 1 they are shorter where it is noisy and people are
-            yet to be led, which serves few steps.
-        timesteps: The step indices themselves, from noisy to clean, instead of `steps` and `power`.
-        samples: Futures per agent.
-        context_weight: w of classifier-free sampling (eq 4); 0 needs a single network call.
-        temperature: Standard deviation of the noise that sampling begins with; a little above 1 makes up for
-            the variety that few steps lose. 1 for many.
-        reduced: Network in bfloat16.
-        keep: Noise level from which a previous plan, or one that does not do yet, is denoised again, as a share of
-            all steps.
-    """
-
-    solver: Literal["dpm", "ddim", "sde", "ddpm"] = "dpm"
-    steps: int = 8
-    power: float = 1.0
-    timesteps: tuple[int, ...] = ()
-    samples: int = 10
-    context_weight: float = 0.0
-    temperature: float = 1.0
-    reduced: bool = True
-    keep: float = 0.6
-
-    def name(self, config: TraceConfig) -> str:
-        """For tables: solver, number of steps, and w where there is one."""
-        solver = "distilled" if config.timesteps else self.solver
-        steps = config.diffusion_steps if self.solver == "ddpm" else len(self.timesteps) or self.steps
-        return f"{solver} {steps}" + (f", w {self.context_weight:g}" if self.context_weight else "")
-
-    def suits(self, timesteps: tuple[int, ...]) -> bool:
-        """Whether a network distilled for these steps can be sampled so."""
-        return self.timesteps == timesteps and self.solver == "ddim" and not self.context_weight
-
-    def make_solver(self, schedule: CosineSchedule) -> Solver:
-        """A fresh solver.
-
-        Raises:
-            ValueError: On an unknown solver or more steps than the schedule has.
-        """
-        timesteps = self.timesteps or spaced_timesteps(len(schedule), self.steps, self.power)
-        match self.solver:
-            case "dpm":
-                return DPMSolver2M(schedule, timesteps)
-            case "ddim":
-                return DDIM(schedule, timesteps)
-            case "sde":
-                return DDIM(schedule, timesteps, eta=1.0)
-            case "ddpm":
-                return DDPM(schedule)
-        raise ValueError(f"there is no solver {self.solver!r}; there are dpm, ddim, sde and ddpm")
-
-
-SHIPPED = Sampling(solver="ddim", timesteps=DISTILLED_STEPS, keep=0.71)
-"""What a planner uses unless told otherwise: the four steps of the distilled network."""
-
 THOROUGH = Guidance(limit=2.0, polish=12, tries=2)
 """How objectives bend the samples unless told otherwise."""
-
-FEW = Sampling(steps=4, power=1.35, temperature=1.05)
-"""What four steps of a network want that is not distilled."""
 
 
 @dataclass(frozen=True)
@@ -231,7 +166,7 @@ class TracePlanner:
         actions = self.sample(context, future_of, objectives, generator, start)
         found = Candidates.judged(actions, future_of, objectives)
         if objectives and self.polishes:
-            self._settle(found, context, future_of, objectives, seed)
+            found = self._settled(found, context, future_of, objectives, seed)
         states = found.future.states.double().numpy()
         return TraceFutures(
             positions=states[..., :2],
@@ -288,15 +223,15 @@ class TracePlanner:
             noisy, estimate = solver.step(clean, noisy, i, generator) - shift, clean
         return noisy
 
-    def _settle(
+    def _settled(
         self,
         found: Candidates,
         context: Context,
         future_of: FutureOf,
         objectives: Sequence[Objective],
         seed: int,
-    ) -> None:
-        """Choose and polish, in place; who is not led where they are asked to go tries again."""
+    ) -> Candidates:
+        """Choose and polish; who is not led where they are asked to go tries again."""
 
         def bound(actions: Tensor) -> Tensor:
             return self._within_speeds(actions, context.speed)
@@ -310,14 +245,9 @@ class TracePlanner:
             generator = torch.Generator().manual_seed(seed + attempt * 2**32)
             actions[rows] = self._resample(rows, found.own, context, future_of, objectives, generator)
             actions[rows, 0], chosen[rows] = found.own[rows, 0], 0  # what they have is one of the samples
-            again = Candidates.judged(actions, future_of, objectives)
-            found.actions, found.future, found.losses, found.chosen = (
-                actions,
-                again.future,
-                again.losses,
-                chosen,
-            )
+            found = replace(Candidates.judged(actions, future_of, objectives), chosen=chosen)
             found.settle(future_of, objectives, self.guidance, bound)
+        return found
 
     def _resample(
         self,
@@ -337,9 +267,9 @@ class TracePlanner:
         noisy = self._noised(estimate[rows], noise, solver.timesteps[first])
         for i in range(first, len(solver.timesteps)):
             k = solver.timesteps[i]
-            others = (
-                None if context.rows is None else estimate[context.rows[rows]].transpose(1, 2).flatten(0, 1)
-            )
+            others = None  # who the network sees is where they are by now, (R * M, N, horizon, 2)
+            if context.rows is not None:
+                others = estimate[context.rows[rows]].transpose(1, 2).flatten(0, 1)
             estimate[rows] = self._predict(noisy, k, many, estimate[rows], others)
             guided = guide_direct(estimate, future_of, objectives, self.guidance, self.schedule.variance(k))
             estimate[rows] = self._within_speeds(guided[rows], context.speed[rows])
