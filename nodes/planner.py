@@ -50,7 +50,7 @@ class Config(NodeConfig, frozen=True):
     samples: Annotated[int, Meta(ge=1, le=200)] = 10
     """Futures a pedestrian (`trace`)."""
     steps: Annotated[int, Meta(ge=1, le=100)] = 5
-    """Denoising steps of a first plan; the next ones continue it with fewer (`trace`)."""
+    """Denoising steps of a first plan, where weights have no steps of their own; later ones take fewer (`trace`)."""
     context_weight: Annotated[float, Meta(ge=-1, le=10)] = 0.0
     """w of classifier-free sampling (eq 4): above 0 stresses map and neighbours, at twice the time (`trace`)."""
     guidance: Literal["direct", "clean", "noisy"] = "direct"

@@ -18,9 +18,9 @@ from ..models.crowd.planning import PLAN_DT, PLAN_STEPS
 from ..models.crowd.routes import Routes
 from ..models.trace.guidance import Guidance
 from ..models.trace.objectives import Objective, ObjectiveError
-from ..models.trace.planner import FEW, WEIGHTS, TraceFutures, TracePlanner
+from ..models.trace.planner import FEW, SHIPPED, WEIGHTS, TraceFutures, TracePlanner
 from ..models.trace.scene_map import SceneMaps
-from ..models.trace.weights import WeightsError
+from ..models.trace.weights import WeightsError, load_model
 from .planner_moment import Moment, place_of
 from .planner_objectives import Surroundings, facing_the_way, objectives_of, timed_way
 from .planner_stops import halted, settled
@@ -41,7 +41,7 @@ class TraceMethod:
     Args:
         seed: Of the run; noise follows from it and from the time.
         samples: Futures a pedestrian.
-        steps: Denoising steps.
+        steps: Denoising steps, where weights are not distilled for steps of their own.
         context_weight: w of classifier-free sampling.
         guidance: Where gradients are taken.
         weights: File, or None for the shipped one.
@@ -70,12 +70,15 @@ class TraceMethod:
         torch.set_num_threads(threads)
         for name in modules:
             load_objectives(name)
-        sampling = replace(FEW, steps=steps, power=POWER, samples=samples, context_weight=context_weight)
         try:
-            self._planner = TracePlanner.load(
-                Path(weights) if weights else WEIGHTS,
-                sampling,
-                Guidance(mode=guidance, inner_steps=GUIDANCE_STEPS),
+            network, _ = load_model(Path(weights) if weights else WEIGHTS)
+            its_own = network.config.timesteps
+            sampling = (
+                replace(SHIPPED, timesteps=its_own) if its_own else replace(FEW, steps=steps, power=POWER)
+            )
+            sampling = replace(sampling, samples=samples, context_weight=context_weight)
+            self._planner = TracePlanner(
+                network, sampling, Guidance(mode=guidance, inner_steps=GUIDANCE_STEPS)
             )
             self._everybody = [
                 Objective(name, {k: v for k, v in values.items() if k != "weight"}, values.get("weight", 1.0))

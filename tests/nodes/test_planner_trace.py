@@ -266,6 +266,18 @@ def test_weights_that_do_not_fit_are_refused(tmp_path):
         trace(weights=str(other))
 
 
+def test_distilled_weights_take_their_own_steps(inbox_of):
+    from footfall.models.trace.planner import DISTILLED
+
+    node = trace(weights=str(DISTILLED), samples=2)
+    inbox = inbox_of(0.0, place(), bodies(), wishes({0: [Waypoint((5.0, 0.0))]}), people({0: (0, 0, 0, 1.3)}))
+    assert chosen(plan(node, inbox))[0, -1, 0] > 3
+    with pytest.raises(
+        ConfigError, match="distilled for the steps 99, 90, 70, 28 of ddim without context_weight"
+    ):
+        trace(weights=str(DISTILLED), context_weight=0.5)
+
+
 def test_an_objective_from_a_file_bends_the_plans(inbox_of, tmp_path: Path):
     module = tmp_path / "my_objectives.py"
     document = (Path(footfall.__file__).parent / "docs" / "trace.md").read_text()
