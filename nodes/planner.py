@@ -49,10 +49,10 @@ class Config(NodeConfig, frozen=True):
     """Added to every body's radius [m]."""
     samples: Annotated[int, Meta(ge=1, le=200)] = 10
     """Futures a pedestrian (`trace`)."""
-    steps: Annotated[int, Meta(ge=1, le=100)] = 5
-    """Denoising steps of a first plan, where weights have no steps of their own; later ones take fewer (`trace`)."""
+    steps: Annotated[int, Meta(ge=1, le=100)] = 4
+    """Denoising steps of a first plan, 4 with distilled weights; later plans take fewer (`trace`)."""
     context_weight: Annotated[float, Meta(ge=-1, le=10)] = 0.0
-    """w of classifier-free sampling (eq 4): above 0 stresses map and neighbours, at twice the time (`trace`)."""
+    """w of classifier-free sampling (eq 4), at twice the time; distilled weights have .5 in them (`trace`)."""
     guidance: Literal["direct", "clean", "noisy"] = "direct"
     """Where gradients of the objectives are taken (`trace`)."""
     weights: str | None = None

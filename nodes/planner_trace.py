@@ -16,9 +16,9 @@ from ..messages.map import SemanticMap
 from ..models.crowd.navigation import Navigator
 from ..models.crowd.planning import PLAN_DT, PLAN_STEPS
 from ..models.crowd.routes import Routes
-from ..models.trace.guidance import Guidance
+from ..models.trace.config import DISTILLED_STEPS
 from ..models.trace.objectives import Objective, ObjectiveError
-from ..models.trace.planner import FEW, SHIPPED, WEIGHTS, TraceFutures, TracePlanner
+from ..models.trace.planner import DISTILLED, FEW, SHIPPED, THOROUGH, WEIGHTS, TraceFutures, TracePlanner
 from ..models.trace.scene_map import SceneMaps
 from ..models.trace.weights import WeightsError, load_model
 from .planner_moment import Moment, place_of
@@ -32,7 +32,7 @@ CLEARANCE = 0.4
 GUIDANCE_STEPS = 2
 """Per denoising step: wishes here lead far from what people would do by themselves, as round a wall."""
 POWER = 1.0
-"""Of the strides: longer ones at the end would leave such wishes half met."""
+"""Of the strides where weights are not distilled: longer ones at the end would leave such wishes half met."""
 
 
 class TraceMethod:
@@ -44,7 +44,8 @@ class TraceMethod:
         steps: Denoising steps, where weights are not distilled for steps of their own.
         context_weight: w of classifier-free sampling.
         guidance: Where gradients are taken.
-        weights: File, or None for the shipped one.
+        weights: File, or None for those shipped: the distilled ones for their number of steps without
+            `context_weight`, else those for any.
         modules: Python files or modules that register objectives.
         ask: Objectives for everybody, with parameters and `weight`.
         margin: Added to every body's radius [m].
@@ -71,14 +72,15 @@ class TraceMethod:
         for name in modules:
             load_objectives(name)
         try:
-            network, _ = load_model(Path(weights) if weights else WEIGHTS)
+            distilled = steps == len(DISTILLED_STEPS) and not context_weight
+            network, _ = load_model(Path(weights or (DISTILLED if distilled else WEIGHTS)))
             its_own = network.config.timesteps
             sampling = (
                 replace(SHIPPED, timesteps=its_own) if its_own else replace(FEW, steps=steps, power=POWER)
             )
             sampling = replace(sampling, samples=samples, context_weight=context_weight)
             self._planner = TracePlanner(
-                network, sampling, Guidance(mode=guidance, inner_steps=GUIDANCE_STEPS)
+                network, sampling, replace(THOROUGH, mode=guidance, inner_steps=GUIDANCE_STEPS)
             )
             self._everybody = [
                 Objective(name, {k: v for k, v in values.items() if k != "weight"}, values.get("weight", 1.0))
@@ -89,7 +91,7 @@ class TraceMethod:
         config = self._planner.config
         if (config.dt, config.plan) != (PLAN_DT, PLAN_STEPS):
             raise ConfigError(
-                f"planner: config: weights: plans of {weights or WEIGHTS} have {config.plan} points {config.dt:g} s "
+                f"planner: config: weights: plans of {weights} have {config.plan} points {config.dt:g} s "
                 f"apart; the graph's have {PLAN_STEPS}, {PLAN_DT:g} s apart"
             )
         self._seed, self._margin = seed, margin

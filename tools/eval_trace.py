@@ -236,6 +236,8 @@ def table_1(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Names
     config, shipped = trace.config.name, fast.config.name
     if "vae" in methods and not VAE_WEIGHTS.is_file():
         methods.remove("vae")
+    if args.quick and "direct_slow" in methods:
+        methods.remove("direct_slow")
     filtered = {}
     if "filter" in methods and (chosen := {g: GUIDES[g] for g in args.guides if g != "none"}):
         filtered = evaluate_filter(TracePlanner(trace, slow), scenes, chosen, time.process_time, WORKERS)
@@ -247,7 +249,7 @@ def table_1(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Names
         return TracePlanner(network, sampling, GUIDANCES[method])
 
     def unguided() -> Iterator[tuple[str, TracePlanner]]:
-        yield "none", TracePlanner(trace, UNGUIDED)
+        yield "unguided", TracePlanner(trace, UNGUIDED)
         yield "direct", TracePlanner(fast, dataclasses.replace(FAST, samples=UNGUIDED.samples))
         if "vae" in methods:
             yield "vae", VaePlanner(load_vae()[0], UNGUIDED.samples)

@@ -32,7 +32,7 @@ BEYOND = 5.0
 """Goals may lie so far outside the map [m]."""
 
 
-THOROUGH = Guidance(limit=2.0, polish=12, tries=2)
+THOROUGH = Guidance(limit=2.0, polish=8, tries=1)
 """How objectives bend the samples unless told otherwise."""
 
 
@@ -233,10 +233,14 @@ class TracePlanner:
     ) -> Candidates:
         """Choose and polish; who is not led where they are asked to go tries again."""
 
+        def polish() -> None:
+            found.polish(future_of, objectives, self.guidance, bound)
+
         def bound(actions: Tensor) -> Tensor:
             return self._within_speeds(actions, context.speed)
 
-        found.settle(future_of, objectives, self.guidance, bound)
+        found.regroup(objectives)
+        polish()
         for attempt in range(1, self.guidance.tries + 1):
             rows = unmet(found.chosen, found.losses, objectives).nonzero()[:, 0]
             if not len(rows):
@@ -246,7 +250,12 @@ class TracePlanner:
             actions[rows] = self._resample(rows, found.own, context, future_of, objectives, generator)
             actions[rows, 0], chosen[rows] = found.own[rows, 0], 0  # what they have is one of the samples
             found = replace(Candidates.judged(actions, future_of, objectives), chosen=chosen)
-            found.settle(future_of, objectives, self.guidance, bound)
+            found.regroup(objectives)
+            polish()
+        if found.regroup(objectives):
+            polish()
+            found.regroup(objectives)
+        found.reconsider(objectives)
         return found
 
     def _resample(

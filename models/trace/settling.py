@@ -47,20 +47,16 @@ class Candidates:
         """(A, 1, horizon, 2) the chosen actions."""
         return self.actions[torch.arange(len(self.chosen)), self.chosen][:, None]
 
-    def settle(
-        self, future_of: FutureOf, objectives: Sequence[Objective], guidance: Guidance, bound: Bound
-    ) -> None:
-        """Let everybody take the sample that suits them, polish it, and look again where that changed a choice."""
-        chosen = regroup(self.chosen, self.losses, objectives, self.future)
-        for _ in range(2):
-            self.chosen = chosen
-            self._polish(future_of, objectives, guidance, bound)
-            chosen = regroup(chosen, self.losses, objectives, self.future)
-            if torch.equal(chosen, self.chosen):
-                break
-        self.chosen = reconsider(chosen, self.losses, objectives, self.future)
+    def regroup(self, objectives: Sequence[Objective]) -> bool:
+        """Let everybody take the sample that suits them; whether anybody changes."""
+        before, self.chosen = self.chosen, regroup(self.chosen, self.losses, objectives, self.future)
+        return not torch.equal(self.chosen, before)
 
-    def _polish(
+    def reconsider(self, objectives: Sequence[Objective]) -> None:
+        """Let whoever would come to harm take another sample."""
+        self.chosen = reconsider(self.chosen, self.losses, objectives, self.future)
+
+    def polish(
         self, future_of: FutureOf, objectives: Sequence[Objective], guidance: Guidance, bound: Bound
     ) -> None:
         """Polish the chosen sample of everybody, in place, where that harms nobody."""

@@ -267,11 +267,17 @@ def test_weights_that_do_not_fit_are_refused(tmp_path):
 
 
 def test_distilled_weights_take_their_own_steps(inbox_of):
-    from footfall.models.trace.planner import DISTILLED
+    from footfall.models.trace.planner import DISTILLED, WEIGHTS
 
-    node = trace(weights=str(DISTILLED), samples=2)
-    inbox = inbox_of(0.0, place(), bodies(), wishes({0: [Waypoint((5.0, 0.0))]}), people({0: (0, 0, 0, 1.3)}))
-    assert chosen(plan(node, inbox))[0, -1, 0] > 3
+    asked = (place(), bodies(), wishes({0: [Waypoint((5.0, 0.0))]}), people({0: (0, 0, 0, 1.3)}))
+    shipped, named, six, other = (
+        plan(trace(samples=2, **options), inbox_of(0.0, *asked)).positions
+        for options in ({}, {"weights": str(DISTILLED), "steps": 9}, {"steps": 6}, {"weights": str(WEIGHTS)})
+    )
+    assert np.array_equal(shipped, named) and not np.array_equal(shipped, other)
+    assert not np.array_equal(shipped, six)
+    for positions in (shipped, six, other):
+        assert positions[0, :, -1, 0].min() > 3
     with pytest.raises(
         ConfigError, match="distilled for the steps 99, 90, 70, 28 of ddim without context_weight"
     ):

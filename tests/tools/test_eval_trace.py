@@ -100,23 +100,16 @@ def test_slow_rows_take_all_steps_but_not_in_haste(crowds, tmp_path, capsys, mon
     crowds.save(tmp_path / "maps.npz")
     monkeypatch.setattr(eval_trace, "SLOW", Sampling(solver="ddpm", samples=2))
     monkeypatch.setattr(eval_trace, "QUICK", Sampling(solver="ddim", steps=20, samples=2))
-    data = [
-        "--data",
-        str(tmp_path / "maps.npz"),
-        "--guides",
-        "waypoint",
-        "--methods",
-        "filter",
-        "direct_slow",
-    ]
-    for flags, sampler in (([], "ddpm 100"), (["--quick"], "ddim 20")):
-        assert run(*data, "--json", *flags) == 0
+    data = ["--data", str(tmp_path / "maps.npz"), "--guides", "waypoint"]
+    slow = ["--methods", "filter", "direct_slow"]
+    for flags, expected in (
+        ([], [("filter", "ddpm 100"), ("direct_slow", "ddpm 100")]),
+        (["--quick"], [("filter", "ddim 20")]),
+    ):
+        assert run(*data, *slow, "--json", *flags) == 0
         rows = json.loads(capsys.readouterr().out)["rows"]
         ours = [row for row in rows if not row["method"].startswith("paper")]
-        assert [(row["method"], row["sampler"]) for row in ours] == [
-            ("filter", sampler),
-            ("direct_slow", sampler),
-        ]
+        assert [(row["method"], row["sampler"]) for row in ours] == expected
 
 
 def test_ablations_stand_beside_ours(crowds, tmp_path, capsys, monkeypatch):
