@@ -7,6 +7,7 @@ learning from them: every batch of paths is learned from several times, among th
 import argparse
 import sys
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import torch
@@ -41,7 +42,8 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--reuse", type=int, default=8, help="steps that learn from a batch of paths")
     parser.add_argument("--drop", type=float, default=0.05, help="probability of dropping map or neighbours")
     train_trace.add_arguments(parser)
-    parser.set_defaults(run=run, model="distilled", balance=1.0, batch=56, steps=4000)
+    parser.set_defaults(run=run, model="distilled", balance=1.0, touch=8.0, calm=3.0)
+    parser.set_defaults(batch=56, steps=5500, rate=5e-4, decay=0.5)
 
 
 class Distillation(train_trace.TrainingRun):
@@ -53,9 +55,13 @@ class Distillation(train_trace.TrainingRun):
         teacher, _ = load_model(args.teacher)
         if teacher.config.timesteps:
             raise ValueError(f"{args.teacher} is distilled itself; a teacher predicts at every step")
-        low = [*args.timesteps[1:], 0]
-        if any(k <= after for k, after in zip(args.timesteps, low, strict=True)) or len(low) < 2:
-            raise ValueError("--timesteps must be two or more step indices that fall, the last one above 0")
+        falling = [teacher.config.diffusion_steps, *args.timesteps, 0]
+        if len(args.timesteps) < 2 or any(k <= after for k, after in pairwise(falling)):
+            raise ValueError(
+                f"--timesteps must be two or more step indices that fall, from {falling[0] - 1} to 1"
+            )
+        if args.reuse < 1:
+            raise ValueError("--reuse must be at least 1")
         self._teacher, self.teacher = teacher.config, teacher.prepared()
         args.init, args.config = args.init or args.teacher, teacher.config.name
         super().__init__(args, rank, world)

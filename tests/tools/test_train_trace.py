@@ -172,7 +172,8 @@ def test_a_student_resumes_as_if_it_had_gone_on_and_knows_its_steps(data, tmp_pa
 
 
 def test_a_student_cannot_teach_and_steps_must_fall(data, tmp_path, capsys):
-    assert distil(data, tmp_path, 1, "--timesteps", "20", "60") == 2
-    assert "step indices that fall" in capsys.readouterr().err
+    for steps in (["20", "60"], ["120", "60"], ["60", "0"], ["60"]):
+        assert distil(data, tmp_path, 1, "--timesteps", *steps) == 2
+        assert "two or more step indices that fall, from 99 to 1" in capsys.readouterr().err
     assert distil(data, tmp_path, 1, "--teacher", str(DISTILLED)) == 2
     assert "is distilled itself" in capsys.readouterr().err
