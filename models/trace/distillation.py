@@ -23,7 +23,7 @@ from .training import APART, action_errors, intrusion, overlap, state_errors
 _FINE = 5  # steps of the schedule that one of the teacher's spans, at most
 
 _INTRUSION = 0.1
-"""Weight of obstacles beside people: with more, people slow down before they are near any (EMD of speeds doubled)."""
+"""Weight of obstacles beside people."""
 
 
 @dataclass(frozen=True)
@@ -140,8 +140,16 @@ def distillation_loss(
     loss = state_errors(trace, guess, truth, a, balance) + calm * action_errors(predicted, paths.clean, a)
     if not touch:
         return loss
-    final = guess[:, -1]
-    depth = _INTRUSION * intrusion(final, paths.context, radius)
+    depth = _INTRUSION * intrusion(_turning(trace, predicted[:, -1], paths.context), paths.context, radius)
     if paths.context.rows is not None:
-        depth = depth + overlap(final, None, paths.context, 2 * radius + APART)
+        depth = depth + overlap(guess[:, -1], None, paths.context, 2 * radius + APART)
     return loss + touch * depth.mean()
+
+
+def _turning(trace: Trace, actions: Tensor, context: Context) -> Tensor:
+    """Where normalised actions (B, T, 2) lead, (B, T, 6), with a gradient by their turns alone.
+
+    Who could slow down as well did so long before an obstacle, and the whole crowd became slower by 1.5 cm/s.
+    """
+    held = torch.cat([actions[..., :1].detach(), actions[..., 1:]], -1)
+    return trace.unroll(held, context.initial_state())

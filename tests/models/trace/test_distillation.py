@@ -16,6 +16,7 @@ from footfall.models.trace.distillation import (
 )
 from footfall.models.trace.network import Trace
 from footfall.models.trace.planner import WEIGHTS, Sampling, TracePlanner
+from footfall.models.trace.scene_map import SceneMaps
 from footfall.models.trace.weights import load_model
 
 SCHEDULE = CosineSchedule(100)
@@ -105,3 +106,21 @@ def test_a_student_learns_to_do_in_four_steps_what_takes_twenty(teacher):
         error().backward()
         optimizer.step()
     assert error().item() < 0.6 * before
+
+
+def test_obstacles_make_people_turn_and_not_slow_down():
+    states, size = walkers()
+    axis = torch.arange(-5.0, 10.0, 0.1)
+    block = ((axis[None] - 4).abs() < 0.5) & (
+        (axis[:, None] - 2.3).abs() < 0.4
+    )  # before the second, to the left
+    context = scene_context(
+        states, size, SceneMaps.from_raster({"obstacle": block.numpy()}, 0.1, (-5.0, -5.0))
+    )
+    clean = torch.zeros(3, 4, 52, 2, requires_grad=True)
+    paths = Paths(context, torch.zeros(3, 4, 52, 2), torch.zeros(3, 4, 52, 2))
+    loss = distillation_loss(cast(Any, lambda *_: clean), Trace(COMPACT), SCHEDULE, paths, touch=1.0)
+    (slope,) = torch.autograd.grad(loss, clean)
+    assert loss > 0 and slope[..., 0].abs().max() == 0
+    assert slope[1, -1, :10, 1].min() > 0  # to the right means less of it
+    assert slope[[0, 2]].abs().max() == 0 and slope[:, :-1].abs().max() == 0
