@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 CLEARANCE = 0.4
 """Ways keep so far from obstacles [m]."""
-GUIDANCE_STEPS = 2
+GUIDANCE_STEPS = 3
 """Per denoising step: wishes here lead far from what people would do by themselves, as round a wall."""
 POWER = 1.0
 """Of the strides where weights are not distilled: longer ones at the end would leave such wishes half met."""
@@ -80,7 +80,7 @@ class TraceMethod:
             )
             sampling = replace(sampling, samples=samples, context_weight=context_weight)
             self._planner = TracePlanner(
-                network, sampling, replace(THOROUGH, mode=guidance, inner_steps=GUIDANCE_STEPS)
+                network, sampling, replace(THOROUGH, mode=guidance, inner_steps=GUIDANCE_STEPS, tries=0)
             )
             self._everybody = [
                 Objective(name, {k: v for k, v in values.items() if k != "weight"}, values.get("weight", 1.0))

@@ -162,7 +162,7 @@ def run(args: argparse.Namespace) -> int:
             source = closed_loop.source(trace, facts, trials, args)
             show(args, closed_loop.TABLES[args.table](trace, trials, args), source, f"trace-{args.table}")
             return 0
-        fast = load_model(args.distilled)[0]
+        fast, fast_facts = load_model(args.distilled)
         crowds = Crowds.load(args.data)
         limit = QUICK_SCENES if args.quick else args.scenes
         scenes = TrialScenes(crowds, trace.config, args.split, limit)
@@ -174,7 +174,10 @@ def run(args: argparse.Namespace) -> int:
             print(path)
         return 0
     area = crowds.source.get("area", 15.0)
-    source = f"{trace.config.name}, step {facts.get('step')}; {len(scenes)} {args.split} scenes of {area:g} m"
+    models = (
+        f"{trace.config.name}, step {facts.get('step')}; {fast.config.name}, step {fast_facts.get('step')}"
+    )
+    source = f"{models}; {len(scenes)} {args.split} scenes of {area:g} m"
     section = f"trace-{args.table}" + ("" if area == 15 else f"-{area:g}m")
     rows = show(args, TABLES[args.table](trace, fast, scenes, args), source, section)
     if args.pictures:
@@ -338,11 +341,12 @@ def table_samplers(trace: Trace, fast: Trace, scenes: TrialScenes, args: argpars
         for guide in ("none", "all"):
             samples = UNGUIDED.samples if guide == "none" else FAST.samples
             if solver == "distilled":
-                planner = TracePlanner(fast, dataclasses.replace(FAST, samples=samples))
+                network, sampling = fast, dataclasses.replace(FAST, samples=samples)
             else:
                 base = FEW if solver == FEW.solver and steps <= FEWEST else Sampling()
                 sampling = dataclasses.replace(base, solver=solver, steps=steps, samples=samples)  # pyright: ignore[reportArgumentType]
-                planner = TracePlanner(trace, sampling)
+                network = trace
+            planner = TracePlanner(network, sampling, Guidance())  # the same for all: no second tries
             choice = "every" if guide == "none" else "guide"
             report = evaluate_all(scenes, planner, GUIDES[guide], choice)
             reference = reference or (report.waypoint if guide == "all" else None)
