@@ -14,9 +14,8 @@ SAFE = 1e-3
 
 _HARM = 100.0  # weight of what overlaps for real when a sample is chosen anew
 _SOON = 1.5  # s, in which harm counts ten times
-_REGRET = (
-    0.01  # a loss, or one above that of one's best sample, that is worth a look: 10 cm of a waypoint, squared
-)
+_REGRET = 0.01
+"""A loss, or one above that of one's best sample, that is worth a look: 10 cm of a waypoint, squared."""
 
 
 def choose_samples(losses: dict[str, Tensor], objectives: Sequence[Objective]) -> Tensor:

@@ -4,7 +4,7 @@ Of a network that was trained to denoise, few steps are the mean of what might f
 people who have not yet settled who goes first walk into each other. Its deterministic sampling is a function from
 noise to futures, though, and a function can be learned: at each of a few steps the student predicts the clean
 actions with which one step of DDIM leads to where the teacher gets in many (Salimans and Ho 2022, with all steps at
-once instead of halving their number again and again). The teacher's two networks calls for the weight w of
+once instead of halving their number again and again). The teacher's two network calls for the weight w of
 classifier-free sampling become one (Meng et al. 2023).
 """
 
