@@ -18,7 +18,15 @@ from ..models.crowd.planning import PLAN_DT, PLAN_STEPS
 from ..models.crowd.routes import Routes
 from ..models.trace.config import DISTILLED_STEPS
 from ..models.trace.objectives import Objective, ObjectiveError
-from ..models.trace.planner import DISTILLED, FEW, SHIPPED, THOROUGH, WEIGHTS, TraceFutures, TracePlanner
+from ..models.trace.planner import (
+    FEW,
+    SHIPPED,
+    THOROUGH,
+    TraceFutures,
+    TracePlanner,
+    default_sampling,
+    weights_for,
+)
 from ..models.trace.scene_map import SceneMaps
 from ..models.trace.weights import WeightsError, load_model
 from .planner_moment import Moment, place_of
@@ -31,6 +39,8 @@ CLEARANCE = 0.4
 """Ways keep so far from obstacles [m]."""
 GUIDANCE_STEPS = 3
 """Per denoising step: wishes here lead far from what people would do by themselves, as round a wall."""
+SPEEDS = (0.0, 3.0)
+"""As fast as somebody may be asked to walk [m/s]."""
 POWER = 1.0
 """Of the strides where weights are not distilled: longer ones at the end would leave such wishes half met."""
 
@@ -72,16 +82,15 @@ class TraceMethod:
         for name in modules:
             load_objectives(name)
         try:
-            distilled = steps == len(DISTILLED_STEPS) and not context_weight
-            network, _ = load_model(Path(weights or (DISTILLED if distilled else WEIGHTS)))
-            its_own = network.config.timesteps
-            sampling = (
-                replace(SHIPPED, timesteps=its_own) if its_own else replace(FEW, steps=steps, power=POWER)
+            few = steps == len(DISTILLED_STEPS) and not context_weight
+            network, _ = load_model(Path(weights) if weights else weights_for(SHIPPED if few else FEW))
+            sampling = replace(
+                default_sampling(network.config), samples=samples, context_weight=context_weight
             )
-            sampling = replace(sampling, samples=samples, context_weight=context_weight)
-            self._planner = TracePlanner(
-                network, sampling, replace(THOROUGH, mode=guidance, inner_steps=GUIDANCE_STEPS, tries=0)
-            )
+            if not network.config.timesteps:
+                sampling = replace(sampling, steps=steps, power=POWER)
+            how = replace(THOROUGH, mode=guidance, inner_steps=GUIDANCE_STEPS, tries=0, speeds=SPEEDS)
+            self._planner = TracePlanner(network, sampling, how)
             self._everybody = [
                 Objective(name, {k: v for k, v in values.items() if k != "weight"}, values.get("weight", 1.0))
                 for name, values in ask.items()

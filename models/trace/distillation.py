@@ -25,6 +25,9 @@ _FINE = 5  # steps of the schedule that one of the teacher's spans, at most
 _INTRUSION = 0.1
 """Weight of obstacles beside people."""
 
+_PACE = 2.0
+"""Weight of the squared error of the mean speed of a batch of people."""
+
 
 @dataclass(frozen=True)
 class Paths:
@@ -120,7 +123,7 @@ def distillation_loss(
     """Errors of the student along the teacher's paths; the weights are those of `training.denoising_loss`.
 
     Where the teacher leads people into each other or into obstacles the student need not follow: discs are to stay
-    apart, whatever it did.
+    apart, whatever it did. The easiest way to that is to slow down, so the crowd as a whole keeps the teacher's pace.
 
     Args:
         model: `DistilledStep(trace)` or a data-parallel wrapper of it.
@@ -140,16 +143,8 @@ def distillation_loss(
     loss = state_errors(trace, guess, truth, a, balance) + calm * action_errors(predicted, paths.clean, a)
     if not touch:
         return loss
-    depth = _INTRUSION * intrusion(_turning(trace, predicted[:, -1], paths.context), paths.context, radius)
+    depth = _INTRUSION * intrusion(guess[:, -1], paths.context, radius)
     if paths.context.rows is not None:
         depth = depth + overlap(guess[:, -1], None, paths.context, 2 * radius + APART)
-    return loss + touch * depth.mean()
-
-
-def _turning(trace: Trace, actions: Tensor, context: Context) -> Tensor:
-    """Where normalised actions (B, T, 2) lead, (B, T, 6), with a gradient by their turns alone.
-
-    Who could slow down as well did so long before an obstacle, and the whole crowd became slower by 1.5 cm/s.
-    """
-    held = torch.cat([actions[..., :1].detach(), actions[..., 1:]], -1)
-    return trace.unroll(held, context.initial_state())
+    slower = (truth - guess)[:, -1, :, 3].mean(0) / trace.trajectory_std[3]
+    return loss + touch * depth.mean() + _PACE * slower.square().mean()

@@ -38,7 +38,8 @@ class Guidance:
         tries: How often whoever is still far from what they are asked is denoised again from a part of the noise, in
             mode `direct`, while all others keep to what they have chosen.
         met: A loss up to this needs no step.
-        speeds: Guided futures keep between these speeds [m/s]: nobody is made to walk backwards or to race.
+        speeds: Guided futures keep between these speeds [m/s]: nobody is made to walk backwards or to race. Who walks
+            faster already need not slow down for it; nobody in simulated crowds walks faster than 2 m/s.
     """
 
     mode: Literal["clean", "noisy", "direct"] = "direct"
@@ -49,7 +50,7 @@ class Guidance:
     polish: int = 6
     tries: int = 0
     met: float = 0.0
-    speeds: tuple[float, float] = (0.0, 3.0)
+    speeds: tuple[float, float] = (0.0, 2.2)
 
     def __post_init__(self):
         if self.mode not in ("clean", "noisy", "direct") or self.scale not in ("variance", "unit", "polyak"):

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ..crowd.planning import Futures
 from .choice import unmet
-from .config import DISTILLED_STEPS
+from .config import DISTILLED_STEPS, TraceConfig
 from .context import Context, scene_context
 from .diffusion import CosineSchedule, Solver
 from .dynamics import rollout
@@ -34,6 +34,16 @@ BEYOND = 5.0
 
 THOROUGH = Guidance(limit=2.0, polish=8, tries=1)
 """How objectives bend the samples unless told otherwise."""
+
+
+def weights_for(sampling: Sampling) -> Path:
+    """The weights shipped with the package that suit."""
+    return DISTILLED if sampling.suits(DISTILLED_STEPS) else WEIGHTS
+
+
+def default_sampling(config: TraceConfig) -> Sampling:
+    """The steps for which a network is distilled, or the few which one wants that is not."""
+    return replace(SHIPPED, timesteps=config.timesteps) if config.timesteps else FEW
 
 
 @dataclass(frozen=True)
@@ -66,8 +76,7 @@ class TracePlanner:
 
     def __init__(self, trace: Trace, sampling: Sampling | None = None, guidance: Guidance | None = None):
         steps = trace.config.timesteps
-        default = replace(SHIPPED, timesteps=steps) if steps else FEW
-        self.sampling, self.guidance = sampling or default, guidance or THOROUGH
+        self.sampling, self.guidance = sampling or default_sampling(trace.config), guidance or THOROUGH
         if steps and not self.sampling.suits(steps):
             raise WeightsError(
                 f"this network is distilled for the steps {', '.join(map(str, steps))} of ddim without "
@@ -84,17 +93,14 @@ class TracePlanner:
         """A planner with trained weights.
 
         Args:
-            path: File; by default those shipped with the package, `DISTILLED` where `sampling` takes their steps and
-                `WEIGHTS` for all else.
-            sampling: How futures are drawn.
+            path: File; by default what `weights_for` ships.
+            sampling: How futures are drawn; `SHIPPED` by default.
             guidance: How objectives bend them.
 
         Raises:
             WeightsError: When the file is missing or broken, or distilled for other steps than those of `sampling`.
         """
-        if path is None:
-            path = DISTILLED if sampling is None or sampling.suits(DISTILLED_STEPS) else WEIGHTS
-        return cls(load_model(path)[0], sampling, guidance)
+        return cls(load_model(path or weights_for(sampling or SHIPPED))[0], sampling, guidance)
 
     def plan(
         self,
@@ -249,7 +255,7 @@ class TracePlanner:
             generator = torch.Generator().manual_seed(seed + attempt * 2**32)
             actions[rows] = self._resample(rows, found.own, context, future_of, objectives, generator)
             actions[rows, 0], chosen[rows] = found.own[rows, 0], 0  # what they have is one of the samples
-            found = replace(Candidates.judged(actions, future_of, objectives), chosen=chosen)
+            found = Candidates.judged(actions, future_of, objectives, chosen)
             found.regroup(objectives)
             polish()
         if found.regroup(objectives):
@@ -301,7 +307,7 @@ class TracePlanner:
         low, high = self.guidance.speeds
         start = speed[:, None, None].expand(*actions.shape[:2], 1)
         speeds = start + torch.cumsum(actions[..., 0] * std + mean, -1) * self.config.dt
-        speeds = torch.cat([start, speeds.clamp(low, high)], -1)
+        speeds = torch.cat([start, torch.minimum(speeds.clamp(min=low), start.clamp(min=high))], -1)
         acceleration = (speeds.diff(dim=-1) / self.config.dt - mean) / std
         return torch.stack([acceleration, actions[..., 1]], -1)
 

@@ -34,13 +34,22 @@ class Candidates:
     chosen: Tensor
 
     @classmethod
-    def judged(cls, actions: Tensor, future_of: FutureOf, objectives: Sequence[Objective]) -> "Candidates":
-        """Of these actions, with the sample that the paper chooses; the first where nothing is asked."""
+    def judged(
+        cls,
+        actions: Tensor,
+        future_of: FutureOf,
+        objectives: Sequence[Objective],
+        chosen: Tensor | None = None,
+    ) -> "Candidates":
+        """Of these actions; without a choice that of the paper, the first sample where nothing is asked."""
         with torch.no_grad():
             future = future_of(actions)
             losses = judge(objectives, future)
-        first = torch.zeros(len(actions), dtype=torch.long)
-        return cls(actions, future, losses, choose_samples(losses, objectives) if objectives else first)
+        if chosen is None and objectives:
+            chosen = choose_samples(losses, objectives)
+        elif chosen is None:
+            chosen = torch.zeros(len(actions), dtype=torch.long)
+        return cls(actions, future, losses, chosen)
 
     @property
     def own(self) -> Tensor:

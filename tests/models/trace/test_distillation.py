@@ -108,19 +108,27 @@ def test_a_student_learns_to_do_in_four_steps_what_takes_twenty(teacher):
     assert error().item() < 0.6 * before
 
 
-def test_obstacles_make_people_turn_and_not_slow_down():
+def test_obstacles_count_and_the_crowd_keeps_its_pace():
     states, size = walkers()
     axis = torch.arange(-5.0, 10.0, 0.1)
-    block = ((axis[None] - 4).abs() < 0.5) & (
-        (axis[:, None] - 2.3).abs() < 0.4
-    )  # before the second, to the left
-    context = scene_context(
-        states, size, SceneMaps.from_raster({"obstacle": block.numpy()}, 0.1, (-5.0, -5.0))
-    )
-    clean = torch.zeros(3, 4, 52, 2, requires_grad=True)
-    paths = Paths(context, torch.zeros(3, 4, 52, 2), torch.zeros(3, 4, 52, 2))
-    loss = distillation_loss(cast(Any, lambda *_: clean), Trace(COMPACT), SCHEDULE, paths, touch=1.0)
-    (slope,) = torch.autograd.grad(loss, clean)
-    assert loss > 0 and slope[..., 0].abs().max() == 0
-    assert slope[1, -1, :10, 1].min() > 0  # to the right means less of it
+    block = ((axis[None] - 4).abs() < 0.5) & ((axis[:, None] - 2.3).abs() < 0.4)  # in the second one's way
+    maps = SceneMaps.from_raster({"obstacle": block.numpy()}, 0.1, (-5.0, -5.0))
+    clean, trace = torch.zeros(3, 4, 52, 2), Trace(COMPACT)
+    context = scene_context(states, size, maps)
+
+    def loss_and_slope(predicted, touch):
+        predicted = predicted.requires_grad_()
+        paths = Paths(context, torch.zeros_like(clean), clean)
+        loss = distillation_loss(cast(Any, lambda *_: predicted), trace, SCHEDULE, paths, touch=touch)
+        return loss.item(), torch.autograd.grad(loss, predicted)[0]
+
+    depth, slope = loss_and_slope(clean.clone(), 1.0)
+    assert depth > 0 and slope[1, -1, :10, 1].min() > 0  # to the right means less of it
     assert slope[[0, 2]].abs().max() == 0 and slope[:, :-1].abs().max() == 0
+    # Somebody's obstacle is nothing to the others; a crowd that is too slow is everybody's affair.
+    slow = clean.clone()
+    slow[2, -1, 0, 0] = -3.0  # 0.3 m/s slower from the first frame on: 0.1 m/s of three people
+    errors, _ = loss_and_slope(slow.clone(), 0.0)
+    total, slope = loss_and_slope(slow.clone(), 1.0)
+    assert total - errors - depth == pytest.approx(2 * 0.1**2 / trace.trajectory_std[3].item() ** 2, rel=1e-3)
+    assert slope[0, -1, :, 0].max() < 0
