@@ -26,7 +26,7 @@ def choose_samples(losses: dict[str, Tensor], objectives: Sequence[Objective]) -
         objectives: With their weights.
 
     Returns:
-        (A,) sample numbers; sample 0 without objectives.
+        (A,) sample numbers.
     """
     total = torch.stack([wish.share * losses[label] for label, wish in labelled(objectives)]).sum(0)
     if any(wish.joint for wish in objectives):

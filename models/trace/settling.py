@@ -45,10 +45,9 @@ class Candidates:
         with torch.no_grad():
             future = future_of(actions)
             losses = judge(objectives, future)
-        if chosen is None and objectives:
-            chosen = choose_samples(losses, objectives)
-        elif chosen is None:
-            chosen = torch.zeros(len(actions), dtype=torch.long)
+        if chosen is None:
+            first = torch.zeros(len(actions), dtype=torch.long)
+            chosen = choose_samples(losses, objectives) if objectives else first
         return cls(actions, future, losses, chosen)
 
     @property

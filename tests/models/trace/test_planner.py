@@ -62,6 +62,16 @@ def test_same_seed_same_plan(trace):
     assert np.array_equal(first, again) and not np.allclose(first, other)
 
 
+def test_nobody_is_led_to_race_and_who_runs_already_may_go_on(trace):
+    states, size = crowd(2)
+    states[1, :, 0], states[1, :, 3] = 0.27 * np.arange(-30, 1), 2.7
+    far = Objective("waypoint", {"goal": torch.tensor([[30.0, 0.0], [30.0, 2.0]])})
+    speeds = TracePlanner(trace, Sampling(steps=4, samples=4)).plan(states, size, objectives=[far]).speeds
+    assert 2.0 < speeds[0].max() <= 2.2 + 1e-3  # 6 m/s would reach it
+    assert 2.3 < speeds[1].max() <= 2.7 + 1e-3
+    assert speeds.min() >= -1e-3
+
+
 @pytest.mark.parametrize("guidance", GUIDANCES, ids=lambda g: f"{g.mode}-{g.scale}")
 def test_guidance_lowers_the_loss(trace, guidance):
     goal = np.array([[4.0, 1.0], [4.0, 1.0], [4.0, 5.0]])
