@@ -42,7 +42,7 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--reuse", type=int, default=8, help="steps that learn from a batch of paths")
     parser.add_argument("--drop", type=float, default=0.05, help="probability of dropping map or neighbours")
     train_trace.add_arguments(parser)
-    parser.set_defaults(run=run, model="distilled", balance=1.0, touch=8.0, calm=3.0)
+    parser.set_defaults(run=run, model="distilled", balance=0.0, touch=8.0, calm=3.0)
     parser.set_defaults(batch=56, steps=5500, rate=5e-4, decay=0.5)
 
 

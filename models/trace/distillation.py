@@ -45,9 +45,9 @@ class Paths:
 
 
 def teacher_timesteps(timesteps: Sequence[int], stride: int = _FINE) -> list[int]:
-    """The steps between: the student's, from the second of them on no further than `stride` apart, down to 1."""
-    fine = [timesteps[0]]
-    for k, after in zip(timesteps[1:], [*timesteps[2:], 0], strict=True):
+    """The steps between: the student's, and more so that none are further than `stride` apart, down to 1."""
+    fine: list[int] = []
+    for k, after in zip(timesteps, [*timesteps[1:], 0], strict=True):
         count = -(-(k - after) // stride)
         fine += [round(k + (after - k) * i / count) for i in range(count)]
     return fine
@@ -115,7 +115,7 @@ def distillation_loss(
     schedule: CosineSchedule,
     paths: Paths,
     timesteps: Sequence[int] = DISTILLED_STEPS,
-    balance: float = 1.0,
+    balance: float = 0.0,
     touch: float = 0.0,
     calm: float = 0.0,
     radius: float = 0.4,

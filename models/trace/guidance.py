@@ -29,14 +29,15 @@ class Guidance:
             the step to the zero of the linearised loss, which needs no tuning because every loss has
             minimum 0.
         strength: alpha; for `polyak` between 0 and 2.
-        inner_steps: Steps per denoising step in mode `direct`. One keeps nearer to the data than several, and as
-            the chosen sample is polished, it reaches no less where people might go there by themselves.
+        inner_steps: Steps per denoising step in mode `direct`; none at the last one where samples are polished, as
+            no denoising would mend what they do to all samples there.
         limit: Longest step of one sample's actions, root mean square over the horizon, in standard
             deviations.
         polish: More steps for the chosen samples at the end, in mode `direct`, and up to twice as many for the
             objectives of safety alone.
-        tries: How often whoever is still far from what they are asked is denoised again from a part of the noise, in
-            mode `direct`, while all others keep to what they have chosen.
+        tries: How often whoever is still far from what they are asked tries again, in mode `direct`, while all others
+            keep to what they have chosen: from a part of the noise first, then from noise alone.
+        temperature: Factor of the noise that sampling begins with: objectives spread futures by themselves.
         met: A loss up to this needs no step.
         speeds: Guided futures keep between these speeds [m/s]: nobody is made to walk backwards or to race. Who walks
             faster already need not slow down for it; nobody in simulated crowds walks faster than 2 m/s.
@@ -49,6 +50,7 @@ class Guidance:
     limit: float = 1.0
     polish: int = 6
     tries: int = 0
+    temperature: float = 1.0
     met: float = 0.0
     speeds: tuple[float, float] = (0.0, 2.2)
 
@@ -59,6 +61,8 @@ class Guidance:
             raise GuidanceError(
                 "guidance strength, polish and tries must be >= 0, inner_steps >= 1, limit > 0"
             )
+        if not self.temperature > 0:
+            raise GuidanceError(f"guidance temperature must be > 0, not {self.temperature}")
         if not 0 <= self.speeds[0] < self.speeds[1]:
             raise GuidanceError(f"guidance speeds must be a range from 0 m/s upwards, not {self.speeds}")
 

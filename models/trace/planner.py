@@ -32,8 +32,11 @@ BEYOND = 5.0
 """Goals may lie so far outside the map [m]."""
 
 
-THOROUGH = Guidance(limit=2.0, polish=8, tries=1)
+THOROUGH = Guidance(inner_steps=2, polish=8, tries=3, temperature=0.98)
 """How objectives bend the samples unless told otherwise."""
+
+_LOST = 8
+"""So many who try again and still are where they are not to be are in each other's way: more tries do not help."""
 
 
 def weights_for(sampling: Sampling) -> Path:
@@ -209,7 +212,8 @@ class TracePlanner:
         """
         sampling, shape = self.sampling, (len(context), self.sampling.samples, self.config.horizon, 2)
         solver, first = self._from_part_of_the_noise()
-        noise = sampling.temperature * torch.randn(shape, generator=generator)
+        temperature = sampling.temperature * (self.guidance.temperature if objectives else 1.0)
+        noise = temperature * torch.randn(shape, generator=generator)
         one = self._encode(context)
         many = [encoding.repeat(sampling.samples) for encoding in one]
         if start is None:
@@ -217,13 +221,16 @@ class TracePlanner:
         else:
             noise = self._noised(start, noise, solver.timesteps[first])
         noisy, estimate = noise, start
-        for i in range(first, len(solver.timesteps)):
-            k = solver.timesteps[i]
-            if start is None and i == 0:  # all noise, which says nothing: one prediction serves all samples
-                clean, shift = self._guided(noisy[:, :1], k, one, None, future_of, objectives)
+        for i, k in list(enumerate(solver.timesteps))[first:]:
+            # What the last step would be led to nothing mends any more: that is for those who are polished.
+            wishes = [] if self.polishes and i + 1 == len(solver.timesteps) else objectives
+            if start is None and i == 0 and not self.config.timesteps:
+                # All noise, which says nothing: one prediction serves all samples. To a distilled network it says
+                # which of the teacher's futures to go for.
+                clean, shift = self._guided(noisy[:, :1], k, one, None, future_of, wishes)
                 clean = clean.expand_as(noisy)
             else:
-                clean, shift = self._guided(noisy, k, many, estimate, future_of, objectives)
+                clean, shift = self._guided(noisy, k, many, estimate, future_of, wishes)
             if objectives:
                 clean = self._within_speeds(clean, context.speed)
             noisy, estimate = solver.step(clean, noisy, i, generator) - shift, clean
@@ -249,11 +256,12 @@ class TracePlanner:
         polish()
         for attempt in range(1, self.guidance.tries + 1):
             rows = unmet(found.chosen, found.losses, objectives).nonzero()[:, 0]
-            if not len(rows):
+            if not len(rows) or (attempt > 1 and len(rows) > _LOST):
                 break
             actions, chosen = found.actions.clone(), found.chosen.clone()
             generator = torch.Generator().manual_seed(seed + attempt * 2**32)
-            actions[rows] = self._resample(rows, found.own, context, future_of, objectives, generator)
+            anew = attempt > 1
+            actions[rows] = self._resample(rows, found.own, context, future_of, objectives, generator, anew)
             actions[rows, 0], chosen[rows] = found.own[rows, 0], 0  # what they have is one of the samples
             found = Candidates.judged(actions, future_of, objectives, chosen)
             found.regroup(objectives)
@@ -272,22 +280,30 @@ class TracePlanner:
         future_of: FutureOf,
         objectives: Sequence[Objective],
         generator: torch.Generator,
+        anew: bool,
     ) -> Tensor:
-        """New samples (R, M, horizon, 2) of some people (R,), around actions (A, 1, ...) to which all others keep."""
+        """New samples (R, M, horizon, 2) of some people (R,), while all others keep to actions (A, 1, horizon, 2).
+
+        Theirs are not far from those actions, or `anew`.
+        """
         sampling = self.sampling
         solver, first = self._from_part_of_the_noise()
+        first = 0 if anew else first
         many = [encoding.repeat(sampling.samples) for encoding in self._encode(context.take(rows))]
         estimate = own.expand(-1, sampling.samples, -1, -1).clone()  # of everybody
         noise = torch.randn(estimate.shape, generator=generator)[rows]  # the same whoever else tries again
         noisy = self._noised(estimate[rows], noise, solver.timesteps[first])
-        for i in range(first, len(solver.timesteps)):
-            k = solver.timesteps[i]
+        for i, k in list(enumerate(solver.timesteps))[first:]:
             others = None  # who the network sees is where they are by now, (R * M, N, horizon, 2)
             if context.rows is not None:
                 others = estimate[context.rows[rows]].transpose(1, 2).flatten(0, 1)
-            estimate[rows] = self._predict(noisy, k, many, estimate[rows], others)
-            guided = guide_direct(estimate, future_of, objectives, self.guidance, self.schedule.variance(k))
-            estimate[rows] = self._within_speeds(guided[rows], context.speed[rows])
+            estimate[rows] = self._predict(noisy, k, many, estimate[rows] if i else None, others)
+            if i + 1 < len(solver.timesteps):
+                guided = guide_direct(
+                    estimate, future_of, objectives, self.guidance, self.schedule.variance(k)
+                )
+                estimate[rows] = guided[rows]
+            estimate[rows] = self._within_speeds(estimate[rows], context.speed[rows])
             noisy = solver.step(estimate[rows], noisy, i, generator)
         return noisy
 

@@ -41,8 +41,8 @@ def walkers(apart=2.0):
 
 def test_the_teacher_takes_short_steps_through_all_of_the_students():
     fine = teacher_timesteps(DISTILLED_STEPS)
-    assert set(DISTILLED_STEPS) <= set(fine) and fine[:2] == [99, 90]  # nothing but noise: one step will do
-    strides = [a - b for a, b in zip(fine[1:], [*fine[2:], 0], strict=True)]
+    assert set(DISTILLED_STEPS) <= set(fine) and fine[0] == DISTILLED_STEPS[0]
+    strides = [a - b for a, b in zip(fine, [*fine[1:], 0], strict=True)]
     assert all(1 <= stride <= 5 for stride in strides)
 
 

@@ -102,7 +102,9 @@ def test_a_way_through_a_pillar_leads_around_it(side):
     assert future.states[..., 3].max() < 1.6  # at first 1.2 m/s: nobody races through
 
 
-@pytest.mark.parametrize("bad", [{"strength": -1.0}, {"inner_steps": 0}, {"mode": "dirty"}, {"limit": 0.0}])
+@pytest.mark.parametrize(
+    "bad", [{"strength": -1.0}, {"inner_steps": 0}, {"mode": "dirty"}, {"limit": 0.0}, {"temperature": 0.0}]
+)
 def test_bad_settings_are_refused(bad):
     with pytest.raises(GuidanceError):
         Guidance(**bad)

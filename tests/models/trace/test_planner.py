@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from footfall.models.trace import settling
-from footfall.models.trace.diffusion import CosineSchedule
+from footfall.models.trace.context import scene_context
+from footfall.models.trace.diffusion import DDIM, CosineSchedule
 from footfall.models.trace.guidance import Guidance
 from footfall.models.trace.objectives import Objective, ObjectiveError
 from footfall.models.trace.planner import DISTILLED, FEW, SHIPPED, WEIGHTS, Sampling, TracePlanner
@@ -179,6 +180,22 @@ def test_distilled_weights_take_their_own_steps_only():
             TracePlanner.load(DISTILLED, other)
 
 
+def test_every_sample_of_a_distilled_network_has_a_first_step_of_its_own():
+    trace, _ = load_model(DISTILLED)
+    states, size = crowd(1)
+    plan = TracePlanner(trace, replace(SHIPPED, samples=3, reduced=False)).plan(states, size, seed=5)
+    noise = torch.randn((1, 3, 52, 2), generator=torch.Generator().manual_seed(5))
+    noisy, estimate = SHIPPED.temperature * noise[0], None
+    context = scene_context(torch.tensor(states).float(), torch.tensor(size).float())
+    solver = DDIM(CosineSchedule(100), SHIPPED.timesteps)
+    with torch.no_grad():
+        encoding = trace.encode(context).repeat(3)
+        for i, k in enumerate(SHIPPED.timesteps):
+            estimate = trace(noisy, torch.full((3,), k), encoding, estimate=estimate)
+            noisy = solver.step(estimate, noisy, i)
+    assert torch.allclose(plan.actions[0], noisy, atol=1e-4)
+
+
 def test_who_misses_what_they_are_asked_tries_again_and_the_others_keep_to_their_plans(trace):
     states, size = crowd(4)
     goal = torch.tensor(
@@ -208,3 +225,39 @@ def test_who_misses_what_they_are_asked_tries_again_and_the_others_keep_to_their
     )
     moved = np.linalg.norm(after.positions - before.positions, axis=-1).max((1, 2))
     assert moved[:3].max() < 1e-6 < moved[3]
+
+
+@pytest.mark.parametrize(("polish", "guided"), [(0, 4), (8, 3)])
+def test_the_last_step_is_left_to_who_is_polished(trace, monkeypatch, polish, guided):
+    asked = []
+    guide = TracePlanner._guided
+
+    def spy(self, noisy, k, encodings, estimate, future_of, objectives):
+        asked.append(len(objectives))
+        return guide(self, noisy, k, encodings, estimate, future_of, objectives)
+
+    monkeypatch.setattr(TracePlanner, "_guided", spy)
+    planner = TracePlanner(trace, replace(FEW, samples=2), Guidance(polish=polish))
+    planner.plan(*crowd(), objectives=[Objective("agent_avoid")])
+    assert asked == [1] * guided + [0] * (4 - guided)
+
+
+def test_objectives_take_variety_off_the_noise(trace):
+    def spread(temperature, objectives):
+        planner = TracePlanner(trace, replace(FEW, samples=6), Guidance(temperature=temperature))
+        return planner.plan(*crowd(), objectives=objectives).positions[:, :, -1].std(1).mean()
+
+    met = [Objective("minimum_speed", {"speed": 0.0})]  # of everybody, so nothing but the noise differs
+    assert spread(0.1, met) < 0.3 * spread(1.0, met)
+    assert spread(0.1, []) == spread(1.0, [])
+
+
+@pytest.mark.parametrize(("people", "tries"), [(1, [False, True, True]), (9, [False])])
+def test_who_is_still_lost_begins_anew_unless_so_many_are(trace, monkeypatch, people, tries):
+    anew = []
+    resample = TracePlanner._resample
+    monkeypatch.setattr(TracePlanner, "_resample", lambda *args: anew.append(args[-1]) or resample(*args))
+    planner = TracePlanner(trace, replace(FEW, samples=2), Guidance(tries=3))
+    beyond = [Objective("target_speed", {"speed": 9.0})]
+    planner.plan(*crowd(people), objectives=beyond)
+    assert anew == tries
