@@ -21,6 +21,7 @@ from .network import Trace
 from .training import APART, action_errors, intrusion, overlap, state_errors
 
 _FINE = 5  # steps of the schedule that one of the teacher's spans, at most
+_FINEST = 2  # and that one spans within the student's first step
 
 _INTRUSION = 0.1
 """Weight of obstacles beside people."""
@@ -44,12 +45,15 @@ class Paths:
     clean: Tensor
 
 
-def teacher_timesteps(timesteps: Sequence[int], stride: int = _FINE) -> list[int]:
-    """The steps between: the student's, and more so that none are further than `stride` apart, down to 1."""
+def teacher_timesteps(timesteps: Sequence[int], stride: int = _FINE, first: int = _FINEST) -> list[int]:
+    """The steps between: the student's, and more so that none are further than `stride` apart, down to 1.
+
+    Within the student's first step, where the share of signal grows many times over, none are further than `first`.
+    """
     fine: list[int] = []
-    for k, after in zip(timesteps, [*timesteps[1:], 0], strict=True):
-        count = -(-(k - after) // stride)
-        fine += [round(k + (after - k) * i / count) for i in range(count)]
+    for i, (k, after) in enumerate(zip(timesteps, [*timesteps[1:], 0], strict=True)):
+        count = -(-(k - after) // (stride if i else first))
+        fine += [round(k + (after - k) * j / count) for j in range(count)]
     return fine
 
 

@@ -44,6 +44,7 @@ def test_the_teacher_takes_short_steps_through_all_of_the_students():
     assert set(DISTILLED_STEPS) <= set(fine) and fine[0] == DISTILLED_STEPS[0]
     strides = [a - b for a, b in zip(fine, [*fine[1:], 0], strict=True)]
     assert all(1 <= stride <= 5 for stride in strides)
+    assert max(strides[: fine.index(DISTILLED_STEPS[1])]) == 2
 
 
 def test_who_predicts_what_is_wanted_arrives_where_the_teacher_does(teacher):
