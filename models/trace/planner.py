@@ -211,14 +211,12 @@ class TracePlanner:
             start: (A, M, horizon, 2) actions to start from, noised part of the way only.
         """
         sampling, shape = self.sampling, (len(context), self.sampling.samples, self.config.horizon, 2)
-        solver, first = self._from_part_of_the_noise()
+        solver, first = self._solver(anew=start is None)
         temperature = sampling.temperature * (self.guidance.temperature if objectives else 1.0)
         noise = temperature * torch.randn(shape, generator=generator)
         one = self._encode(context)
         many = [encoding.repeat(sampling.samples) for encoding in one]
-        if start is None:
-            first = 0
-        else:
+        if start is not None:
             noise = self._noised(start, noise, solver.timesteps[first])
         noisy, estimate = noise, start
         for i, k in list(enumerate(solver.timesteps))[first:]:
@@ -287,8 +285,7 @@ class TracePlanner:
         Theirs are not far from those actions, or `anew`.
         """
         sampling = self.sampling
-        solver, first = self._from_part_of_the_noise()
-        first = 0 if anew else first
+        solver, first = self._solver(anew)
         many = [encoding.repeat(sampling.samples) for encoding in self._encode(context.take(rows))]
         estimate = own.expand(-1, sampling.samples, -1, -1).clone()  # of everybody
         noise = torch.randn(estimate.shape, generator=generator)[rows]  # the same whoever else tries again
@@ -307,9 +304,11 @@ class TracePlanner:
             noisy = solver.step(estimate[rows], noisy, i, generator)
         return noisy
 
-    def _from_part_of_the_noise(self) -> tuple[Solver, int]:
-        """A solver, and the number of its first step for what is not to be drawn from noise alone."""
+    def _solver(self, anew: bool) -> tuple[Solver, int]:
+        """A solver, and the number of its first step: for what is not drawn `anew` that at a part of the noise."""
         solver = self.sampling.make_solver(self.schedule)
+        if anew:
+            return solver, 0
         level = self.sampling.keep * (len(self.schedule) - 1)
         last = len(solver.timesteps) - 1
         return solver, next((i for i, k in enumerate(solver.timesteps) if k <= level), last)
