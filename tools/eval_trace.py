@@ -137,6 +137,12 @@ def add_parser(subparsers) -> None:
         metavar="WEIGHTS",
         help="ablations and others, for tables 2, 5, 6",
     )
+    parser.add_argument(
+        "--runs",
+        type=int,
+        default=1,
+        help="of guided rows of table 1, averaged (default %(default)s): figures of one vary by a tenth to a third",
+    )
     parser.add_argument("--scenes", type=int, default=None, help="only so many (default: all of the split)")
     parser.add_argument("--quick", action="store_true", help=f"the first {QUICK_SCENES} scenes")
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -166,6 +172,8 @@ def run(args: argparse.Namespace) -> int:
         fast, fast_facts = load_model(args.distilled)
         crowds = Crowds.load(args.data)
         limit = QUICK_SCENES if args.quick else args.scenes
+        if args.runs < 1:
+            raise ValueError(f"--runs must be at least 1, not {args.runs}")
         scenes = TrialScenes(crowds, trace.config, args.split, limit)
     except ValueError as error:
         print(error, file=sys.stderr)
@@ -228,10 +236,14 @@ def guide_error(guide: str, report: Report) -> float | None:
 
 
 def evaluate_all(
-    scenes: TrialScenes, planner: TracePlanner, wishes: Wishes = no_wish, choice: Choice = "guide"
+    scenes: TrialScenes,
+    planner: TracePlanner,
+    wishes: Wishes = no_wish,
+    choice: Choice = "guide",
+    runs: int = 1,
 ) -> Report:
     """`evaluate` with a scene a core."""
-    return evaluate(planner, scenes, wishes, choice, time.process_time, WORKERS)
+    return evaluate(planner, scenes, wishes, choice, time.process_time, WORKERS, runs)
 
 
 def table_1(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
@@ -276,7 +288,8 @@ def table_1(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Names
                 yield row(guide, method, slow.name(trace.config), filtered[guide])
             else:
                 ours = planner(method)
-                yield row(guide, method, sampler_name(ours), evaluate_all(scenes, ours, GUIDES[guide]))
+                report = evaluate_all(scenes, ours, GUIDES[guide], runs=args.runs)
+                yield row(guide, method, sampler_name(ours), report)
 
 
 def sampler_name(planner: TracePlanner) -> str:

@@ -29,9 +29,10 @@ from .windows import CrowdWindows
 
 Found = TypeVar("Found")
 
-PASS = {"temperature": 0.05, "widening": 0.3}
+PASS = {"temperature": 0.02, "widening": 0.3}
 """Of waypoints: the nearest state alone is to be there, but people turn round for those behind them."""
 
+_SEEDS_A_RUN = 100_000  # more than there are scenes
 WAYPOINT_FRAME = 40  # the waypoint is where the person truly is after four seconds
 
 
@@ -208,6 +209,7 @@ def evaluate(
     choice: Choice = "guide",
     clock: Callable[[], float] = lambda: 0.0,
     workers: int = 1,
+    runs: int = 1,
 ) -> Report:
     """Plan every test scene and count.
 
@@ -220,21 +222,23 @@ def evaluate(
             (unguided rows, app. C.5: three runs).
         clock: CPU seconds, for the report.
         workers: Scenes planned at a time; the figures do not depend on it.
+        runs: Noise is drawn so many times, and the figures are averaged.
     """
-    samples = planner.sampling.samples
-    tallies = [Tally(scenes.dt) for _ in range(samples if choice == "every" else 1)]
+    each = planner.sampling.samples if choice == "every" else 1
+    tallies = [Tally(scenes.dt) for _ in range(runs * each)]
     begun = clock()
 
     def plan_scene(scene: TrialScene, seed: int) -> Futures:
         return planner.plan(scene.states, scene.size, scene.maps, wishes(scene), seed=seed)
 
-    for scene, plan in _with_each(scenes, plan_scene, workers):
-        for run, tally in enumerate(tallies):
-            chosen = np.full(len(plan.chosen), run) if choice == "every" else plan.chosen
-            if choice == "truth":
-                chosen = displacement_errors(plan.positions, scene.truth[:, 1:])[0].argmin(1)
-            tally.add(scene, plan.positions, chosen)
-    seconds = (clock() - begun) / len(scenes)
+    for run in range(runs):
+        for scene, plan in _with_each(scenes, plan_scene, workers, _SEEDS_A_RUN * run):
+            for sample, tally in enumerate(tallies[each * run : each * (run + 1)]):
+                chosen = np.full(len(plan.chosen), sample) if choice == "every" else plan.chosen
+                if choice == "truth":
+                    chosen = displacement_errors(plan.positions, scene.truth[:, 1:])[0].argmin(1)
+                tally.add(scene, plan.positions, chosen)
+    seconds = (clock() - begun) / len(scenes) / runs
     return average([tally.report(seconds) for tally in tallies])
 
 
@@ -277,14 +281,14 @@ def evaluate_filter(
 
 
 def _with_each(
-    scenes: TrialScenes, work: Callable[[TrialScene, int], Found], workers: int
+    scenes: TrialScenes, work: Callable[[TrialScene, int], Found], workers: int, first: int = 0
 ) -> Iterator[tuple[TrialScene, Found]]:
-    """Every scene and what is found for it and its number, in order, so many at a time."""
+    """Every scene and what is found for it and its seed, numbered from the `first`, so many at a time."""
     trials, threads = list(scenes), torch.get_num_threads()
     torch.set_num_threads(max(1, threads // workers))  # of each worker
     try:
         with ThreadPoolExecutor(workers) as pool:
-            yield from zip(trials, pool.map(work, trials, range(len(trials))), strict=True)
+            yield from zip(trials, pool.map(work, trials, range(first, first + len(trials))), strict=True)
     finally:
         torch.set_num_threads(threads)
 

@@ -32,7 +32,7 @@ BEYOND = 5.0
 """Goals may lie so far outside the map [m]."""
 
 
-THOROUGH = Guidance(inner_steps=2, polish=8, tries=3, temperature=0.97)
+THOROUGH = Guidance(inner_steps=2, polish=8, tries=3, temperature=0.98)
 """How objectives bend the samples unless told otherwise."""
 
 _LOST = 8
@@ -282,10 +282,13 @@ class TracePlanner:
     ) -> Tensor:
         """New samples (R, M, horizon, 2) of some people (R,), while all others keep to actions (A, 1, horizon, 2).
 
-        Theirs are not far from those actions, or `anew`.
+        Theirs are not far from those actions, or `anew`: then nothing leads them at the first step. Of those who stand
+        with the goal behind them guidance makes people who stand, whom no turn gets anywhere; the network by itself
+        lets some of them walk.
         """
         sampling = self.sampling
         solver, first = self._solver(anew)
+        led = range(int(anew), len(solver.timesteps) - 1)
         many = [encoding.repeat(sampling.samples) for encoding in self._encode(context.take(rows))]
         estimate = own.expand(-1, sampling.samples, -1, -1).clone()  # of everybody
         noise = torch.randn(estimate.shape, generator=generator)[rows]  # the same whoever else tries again
@@ -295,7 +298,7 @@ class TracePlanner:
             if context.rows is not None:
                 others = estimate[context.rows[rows]].transpose(1, 2).flatten(0, 1)
             estimate[rows] = self._predict(noisy, k, many, estimate[rows] if i else None, others)
-            if i + 1 < len(solver.timesteps):
+            if i in led:
                 guided = guide_direct(
                     estimate, future_of, objectives, self.guidance, self.schedule.variance(k)
                 )

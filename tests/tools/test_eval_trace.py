@@ -149,17 +149,18 @@ def test_filtering_chooses_what_guided_sampling_would_count(crowds):
     assert report.waypoint == pytest.approx(np.mean(nearest), abs=0.02)  # the loss is a soft minimum
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_every_run_counts_and_the_figures_are_averaged(crowds, workers):
+@pytest.mark.parametrize(("workers", "runs"), [(1, 1), (2, 1), (2, 2)])
+def test_every_run_counts_and_the_figures_are_averaged(crowds, workers, runs):
     scenes = TrialScenes(replace(crowds, split=np.full(10, 2, np.uint8)), COMPACT, limit=2)
     planner = TracePlanner(Trace(COMPACT).eval(), Sampling(steps=2, samples=2, reduced=False))
-    report = evaluate(planner, scenes, choice="every", workers=workers)
-    plans = [planner.plan(s.states, s.size, s.maps, seed=n) for n, s in enumerate(scenes)]
-    missed = [
-        np.linalg.norm(plan.positions[:, run] - scene.goal[:, None], axis=-1).min(-1)
-        for run in range(2)
-        for plan, scene in zip(plans, scenes, strict=True)
-    ]
+    report = evaluate(planner, scenes, choice="every", workers=workers, runs=runs)
+    missed = []
+    for first in (0, 100_000)[:runs]:
+        for seed, scene in enumerate(scenes, first):
+            plan = planner.plan(scene.states, scene.size, scene.maps, seed=seed)
+            missed += [
+                np.linalg.norm(plan.positions[:, s] - scene.goal[:, None], axis=-1).min(-1) for s in (0, 1)
+            ]
     assert report.waypoint == pytest.approx(np.concatenate(missed).mean())
     one = replace(report, obstacle=0.0, emd={"speed": 1.0})
     two = replace(report, obstacle=1.0, emd={"speed": 3.0})
@@ -190,3 +191,5 @@ def test_missing_files_are_explained(tmp_path, capsys):
     assert "footfall data orca" in capsys.readouterr().err
     assert run("--weights", str(tmp_path / "none.safetensors")) == 2
     assert "no weights at" in capsys.readouterr().err
+    assert run("--runs", "0") == 2
+    assert "--runs must be at least 1" in capsys.readouterr().err
