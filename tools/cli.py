@@ -29,6 +29,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "motion": ("motion", "motion capture libraries: retarget, info, film"),
     "train trace": ("train_trace", "train the trajectory diffusion model"),
     "train distil": ("train_distil", "teach that model to need four steps"),
+    "train pace": ("train_pace", "let its crowd walk as fast as with all steps"),
     "train tracker": ("train_tracker", "train the motion tracker"),
     "train pacer": ("train_pacer", "train the walker"),
     "eval trace": ("eval_trace", "evaluate it"),

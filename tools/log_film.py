@@ -2,11 +2,9 @@
 
 import argparse
 import re
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from time import monotonic
 
 import numpy as np
 
@@ -20,6 +18,7 @@ from ..messages.topics import BODIES, BODY_STATES, MAP, OBJECTIVES, PLANS
 from ..nodes.viewer_ground import paint
 from ..nodes.viewer_people import colour_of
 from ..nodes.viewer_picture import heights_at
+from .progress import progress_line
 
 PLAN_STRIDE = 4
 """Every so many points of a plan are drawn."""
@@ -233,16 +232,3 @@ def run(arguments: argparse.Namespace) -> int:
     )
     print(out)
     return 0
-
-
-def progress_line() -> Callable[[int, int], None]:
-    """Shows frames done and the time left on a terminal's standard error."""
-    begin = monotonic()
-
-    def show(done: int, total: int) -> None:
-        if sys.stderr.isatty():
-            left = (monotonic() - begin) / done * (total - done)
-            end = "\n" if done == total else ""
-            print(f"\rframe {done} of {total}, {left:.0f} s left ", end=end, file=sys.stderr, flush=True)
-
-    return show

@@ -29,7 +29,7 @@ from .windows import CrowdWindows
 
 Found = TypeVar("Found")
 
-PASS = {"temperature": 0.02, "widening": 0.3}
+PASS = {"temperature": 0.05, "widening": 0.3}
 """Of waypoints: the nearest state alone is to be there, but people turn round for those behind them."""
 
 _SEEDS_A_RUN = 100_000  # more than there are scenes
@@ -227,12 +227,8 @@ def evaluate(
     each = planner.sampling.samples if choice == "every" else 1
     tallies = [Tally(scenes.dt) for _ in range(runs * each)]
     begun = clock()
-
-    def plan_scene(scene: TrialScene, seed: int) -> Futures:
-        return planner.plan(scene.states, scene.size, scene.maps, wishes(scene), seed=seed)
-
     for run in range(runs):
-        for scene, plan in _with_each(scenes, plan_scene, workers, _SEEDS_A_RUN * run):
+        for scene, plan in plan_each(planner, scenes, wishes, workers, _SEEDS_A_RUN * run):
             for sample, tally in enumerate(tallies[each * run : each * (run + 1)]):
                 chosen = np.full(len(plan.chosen), sample) if choice == "every" else plan.chosen
                 if choice == "truth":
@@ -240,6 +236,21 @@ def evaluate(
                 tally.add(scene, plan.positions, chosen)
     seconds = (clock() - begun) / len(scenes) / runs
     return average([tally.report(seconds) for tally in tallies])
+
+
+def plan_each(
+    planner: TracePlanner,
+    scenes: TrialScenes,
+    wishes: Wishes = no_wish,
+    workers: int = 1,
+    first_seed: int = 0,
+) -> Iterator[tuple[TrialScene, Futures]]:
+    """Every scene and its plan, in order, so many at a time; the plans do not depend on that."""
+
+    def plan_scene(scene: TrialScene, seed: int) -> Futures:
+        return planner.plan(scene.states, scene.size, scene.maps, wishes(scene), seed=seed)
+
+    return _with_each(scenes, plan_scene, workers, first_seed)
 
 
 def evaluate_filter(

@@ -10,8 +10,8 @@ from .choice import SAFE, choose_samples, judge, reconsider, regroup, where_no_w
 from .guidance import FutureOf, Guidance, guide_direct
 from .objectives import Future, Objective
 
-_REACHED = 1e-5
-"""A loss up to this needs no polish: a waypoint missed by three millimetres."""
+_REACHED = 1e-4
+"""A loss up to this needs no polish: a waypoint missed by a centimetre."""
 
 Bound = Callable[[Tensor], Tensor]
 """From actions (A, M, horizon, 2) to the nearest ones that may be."""
