@@ -32,7 +32,7 @@ BEYOND = 5.0
 """Goals may lie so far outside the map [m]."""
 
 
-THOROUGH = Guidance(inner_steps=2, polish=8, tries=3, temperature=0.97)
+THOROUGH = Guidance(limit=0.5, polish=8, tries=3, temperature=0.97)
 """How objectives bend the samples unless told otherwise."""
 
 _LOST = 8
