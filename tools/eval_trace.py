@@ -160,6 +160,8 @@ def add_parser(subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Evaluate and print; each row is shown as soon as it is known."""
     try:
+        if args.runs < 1:
+            raise ValueError(f"--runs must be at least 1, not {args.runs}")
         trace, facts = load_model(args.weights)
         if args.table in closed_loop.TABLES:
             trials = closed_loop.read_trials(args, trace.config)
@@ -172,8 +174,6 @@ def run(args: argparse.Namespace) -> int:
         fast, fast_facts = load_model(args.distilled)
         crowds = Crowds.load(args.data)
         limit = QUICK_SCENES if args.quick else args.scenes
-        if args.runs < 1:
-            raise ValueError(f"--runs must be at least 1, not {args.runs}")
         scenes = TrialScenes(crowds, trace.config, args.split, limit)
     except ValueError as error:
         print(error, file=sys.stderr)
