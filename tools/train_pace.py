@@ -42,6 +42,9 @@ def run(args: argparse.Namespace) -> int:
     try:
         if min(args.scenes, args.samples) < 1:
             raise ValueError("--scenes and --samples must be at least 1")
+        if args.out.is_dir():
+            raise ValueError(f"--out {args.out} is a folder; it must be a file")
+        args.out.parent.mkdir(parents=True, exist_ok=True)
         teacher, _ = load_model(args.teacher)
         student, facts = load_model(args.weights)
         if not student.config.timesteps:
@@ -58,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         wanted = mean_speed(TracePlanner(teacher, slow), scenes, WORKERS, progress_line("scene"))
         found, pace = kept_pace(student, planner_of, wanted, scenes, WORKERS)
         save_model(args.out, found, {**facts, "pace": pace}, half=True)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
     print(

@@ -89,5 +89,7 @@ def test_the_teachers_pace_is_measured_and_kept(crowds, tmp_path, capsys):
     assert pace(*data, "--teacher", DISTILLED) == 2
     assert "is distilled itself" in capsys.readouterr().err
     assert pace(*data, "--scenes", 0) == 2
+    assert pace(*data, "--out", tmp_path) == 2
+    assert "must be a file" in capsys.readouterr().err
     assert pace("--data", tmp_path / "none.npz", "--out", tmp_path / "b.safetensors") == 2
     assert not (tmp_path / "b.safetensors").exists()
