@@ -14,6 +14,7 @@ import torch
 
 from ..models.trace.config import DISTILLED_STEPS, TraceConfig
 from ..models.trace.distillation import DistilledStep, Paths, distillation_loss, teacher_paths
+from ..models.trace.network import Trace
 from ..models.trace.planner import WEIGHTS
 from ..models.trace.training import vary_observation
 from ..models.trace.weights import load_model
@@ -46,15 +47,25 @@ def add_parser(subparsers) -> None:
     parser.set_defaults(batch=56, steps=5500, rate=5e-4, decay=0.5)
 
 
+def load_teacher(path: Path) -> Trace:
+    """A network that can be followed through all of its steps.
+
+    Raises:
+        ValueError: When there is none in the file, or one that is distilled.
+    """
+    teacher, _ = load_model(path)
+    if teacher.config.timesteps:
+        raise ValueError(f"{path} is distilled itself; a teacher predicts at every step")
+    return teacher
+
+
 class Distillation(train_trace.TrainingRun):
     """A training run that learns from the paths of a teacher, which it begins as."""
 
     half = True
 
     def __init__(self, args: argparse.Namespace, rank: int, world: int):
-        teacher, _ = load_model(args.teacher)
-        if teacher.config.timesteps:
-            raise ValueError(f"{args.teacher} is distilled itself; a teacher predicts at every step")
+        teacher = load_teacher(args.teacher)
         falling = [teacher.config.diffusion_steps, *args.timesteps, 0]
         if len(args.timesteps) < 2 or any(k <= after for k, after in pairwise(falling)):
             raise ValueError(

@@ -13,6 +13,7 @@ from ..models.trace.pace import kept_pace, mean_speed
 from ..models.trace.planner import DISTILLED, WEIGHTS, Sampling, TracePlanner, default_sampling
 from ..models.trace.weights import load_model, save_model
 from .progress import progress_line
+from .train_distil import load_teacher
 
 WORKERS = os.cpu_count() or 1
 
@@ -45,12 +46,10 @@ def run(args: argparse.Namespace) -> int:
         if args.out.is_dir():
             raise ValueError(f"--out {args.out} is a folder; it must be a file")
         args.out.parent.mkdir(parents=True, exist_ok=True)
-        teacher, _ = load_model(args.teacher)
+        teacher = load_teacher(args.teacher)
         student, facts = load_model(args.weights)
         if not student.config.timesteps:
             raise ValueError(f"{args.weights} is not distilled: it has the pace it learned")
-        if teacher.config.timesteps:
-            raise ValueError(f"{args.teacher} is distilled itself; a teacher predicts at every step")
         scenes = TrialScenes(Crowds.load(args.data), student.config, "train", args.scenes)
 
         def planner_of(trace: Trace) -> TracePlanner:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 import footfall
 from footfall.messages.agents import AgentStates
@@ -32,15 +31,9 @@ from footfall.models.trace.weights import load_tensors, save_tensors
 from footfall.nodes.planner import Config, PlannerNode
 from footfall.nodes.planner_stops import halted
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 SIDE = 240  # cells of 0.1 m
-
-
-@pytest.fixture(autouse=True, scope="module")
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 def place(*holes: tuple[slice, slice], layers=("walkable",)):

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from footfall.models.trace.config import COMPACT, CONFIGS
 from footfall.models.trace.crowd_file import pack_crowds
@@ -23,19 +22,13 @@ from footfall.models.trace.planner import SHIPPED, Sampling, TracePlanner
 from footfall.models.trace.weights import save_model
 from footfall.tools import eval_trace
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 
 @pytest.fixture(scope="module")
 def crowds():
     spec = CrowdSpec(substeps=1)
     return pack_crowds(spec, simulate_crowds(spec, 4, range(10)), 4)
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 def run(*arguments):

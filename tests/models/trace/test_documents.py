@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 import footfall
 from footfall.models.trace.objectives import OBJECTIVES, Objective
 from footfall.models.trace.planner import Sampling, TracePlanner
+
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 ROOT = Path(footfall.__file__).parent
 
@@ -19,14 +20,6 @@ def code(document: str, contains: str) -> str:
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / document).read_text(), re.DOTALL)
     (block,) = [block for block in blocks if contains in block]
     return block
-
-
-@pytest.fixture(autouse=True, scope="module")
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 def test_the_planner_as_a_library():

@@ -10,13 +10,7 @@ from footfall.models.trace.network import Trace, crowd_field, nearest_neighbors
 from footfall.models.trace.scene_map import SceneMaps
 from footfall.models.trace.weights import WeightsError, load_model, save_model, save_tensors
 
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def maps(scenes=2):

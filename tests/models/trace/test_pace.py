@@ -4,7 +4,6 @@ import argparse
 
 import numpy as np
 import pytest
-import torch
 
 from footfall.models.trace.crowd_file import pack_crowds
 from footfall.models.trace.evaluation import TrialScenes
@@ -14,6 +13,8 @@ from footfall.models.trace.pace import hastened, kept_pace, mean_speed
 from footfall.models.trace.planner import DISTILLED, WEIGHTS, TracePlanner
 from footfall.models.trace.weights import load_model
 from footfall.tools import train_pace
+
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
@@ -25,14 +26,6 @@ def crowds():
 @pytest.fixture(scope="module")
 def student():
     return load_model(DISTILLED)[0]
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 def pace(*arguments):
