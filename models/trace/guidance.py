@@ -36,7 +36,7 @@ class Guidance:
         polish: More steps for the chosen samples at the end, in mode `direct`, and up to twice as many for the
             objectives of safety alone.
         tries: How often whoever is still far from what they are asked tries again, in mode `direct`, while all others
-            keep to what they have chosen: from a part of the noise first, then from noise alone.
+            keep to what they have chosen: from a part of the noise, over their own way and ways in all directions.
         temperature: Factor of the noise that sampling begins with: objectives spread futures by themselves.
         met: A loss up to this needs no step.
         speeds: Guided futures keep between these speeds [m/s]: nobody is made to walk backwards or to race. Who walks

@@ -9,6 +9,7 @@ from torch import Tensor
 from .objectives import Future, objective, per_agent
 
 _AHEAD = 0.3  # share of the gradient along the motion that the avoidance of obstacles keeps
+_SHARP = 1e-3  # m, softness of a minimum over time that counts but one state
 _AT_REST = 0.3  # m/s, by which somebody who stands in an obstacle is still pushed out
 
 
@@ -167,7 +168,8 @@ def waypoint(future: Future, goal: Tensor, temperature: float = 1.0, widening: f
         temperature: Of the soft minimum over time [m]; 1 is the paper's, towards 0 only the nearest state
             counts.
         widening: The temperature grows by this share of the distance of the nearest state; 0 is the paper's. To
-            the gradient the temperature is a constant.
+            the gradient the temperature is a constant. With some widening and once futures are settled there is
+            no other temperature: a soft minimum comes to rest with the goal halfway between two states.
     """
     recorded = torch.is_grad_enabled()
     with torch.no_grad():
@@ -175,7 +177,10 @@ def waypoint(future: Future, goal: Tensor, temperature: float = 1.0, widening: f
         offset = future.positions - goals[:, :, None]
         square = offset.square().sum(-1)
         distance = square.sqrt()
-        softness = temperature + widening * distance.amin(-1, keepdim=True)
+        nearest = distance.amin(-1, keepdim=True)
+        softness = temperature + widening * nearest
+        if future.settled and widening:
+            softness = _SHARP + widening * nearest * nearest.clamp(max=1.0)
         share = torch.softmax(-distance / softness, -1) * given[..., None]
         loss = (share * square).sum(-1)
         if not recorded:

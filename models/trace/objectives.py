@@ -40,6 +40,7 @@ class Future:
         scene: Number of the agents' map.
         seed: Of objectives that draw something; constant over one plan.
         ids: Numbers of the agents in the caller's world, for objectives that know more about somebody.
+        settled: These are what everybody will follow, no longer samples to be denoised: a soft minimum may be sharp.
     """
 
     states: Tensor
@@ -50,6 +51,7 @@ class Future:
     scene: int = 0
     seed: int = 0
     ids: tuple[int, ...] = ()
+    settled: bool = False
 
     @property
     def positions(self) -> Tensor:

@@ -19,7 +19,7 @@ from .network import Encoding, Trace
 from .objectives import Future, Objective, ObjectiveError
 from .sampling import FEW, SHIPPED, Sampling
 from .scene_map import SceneMaps
-from .settling import Candidates
+from .settling import Candidates, setting_out
 from .weights import WeightsError, load_model
 
 _FOLDER = Path(__file__).parent.parent / "weights"
@@ -252,14 +252,14 @@ class TracePlanner:
 
         found.regroup(objectives)
         polish()
-        for attempt in range(1, self.guidance.tries + 1):
+        for attempt in range(self.guidance.tries):
             rows = unmet(found.chosen, found.losses, objectives).nonzero()[:, 0]
-            if not len(rows) or (attempt > 1 and len(rows) > _LOST):
+            if not len(rows) or (attempt and len(rows) > _LOST):
                 break
             actions, chosen = found.actions.clone(), found.chosen.clone()
-            generator = torch.Generator().manual_seed(seed + attempt * 2**32)
-            anew = attempt > 1
-            actions[rows] = self._resample(rows, found.own, context, future_of, objectives, generator, anew)
+            generator = torch.Generator().manual_seed(seed + (attempt + 1) * 2**32)
+            start = self._starts(found.own[rows], context.speed[rows])
+            actions[rows] = self._resample(rows, start, found.own, context, future_of, objectives, generator)
             actions[rows, 0], chosen[rows] = found.own[rows, 0], 0  # what they have is one of the samples
             found = Candidates.judged(actions, future_of, objectives, chosen)
             found.regroup(objectives)
@@ -270,35 +270,44 @@ class TracePlanner:
         found.reconsider(objectives)
         return found
 
+    def _starts(self, own: Tensor, speed: Tensor) -> Tensor:
+        """Where to look for other ways (R, M, horizon, 2): near one's own (R, 1, horizon, 2), and in all directions.
+
+        Of those who stand with the goal behind, guidance alone makes people who stand: no turn of theirs gets anywhere.
+        """
+        shape = self.sampling.samples, self.config.horizon
+        actions = setting_out(speed, *shape, self.config.dt)
+        starts = (actions - self.trace.trajectory_mean[4:]) / self.trace.trajectory_std[4:]
+        starts[:, ::2] = own
+        return starts
+
     def _resample(
         self,
         rows: Tensor,
+        start: Tensor,
         own: Tensor,
         context: Context,
         future_of: FutureOf,
         objectives: Sequence[Objective],
         generator: torch.Generator,
-        anew: bool,
     ) -> Tensor:
-        """New samples (R, M, horizon, 2) of some people (R,), while all others keep to actions (A, 1, horizon, 2).
+        """New samples (R, M, horizon, 2) of some people (R,), not far from where they start, of the same shape.
 
-        Theirs are not far from those actions, or `anew`: then nothing leads them at the first step. Of those who stand
-        with the goal behind them guidance makes people who stand, whom no turn gets anywhere; the network by itself
-        lets some of them walk.
+        All others keep to their `own` actions (A, 1, horizon, 2).
         """
         sampling = self.sampling
-        solver, first = self._solver(anew)
-        led = range(int(anew), len(solver.timesteps) - 1)
+        solver, first = self._solver(anew=False)
         many = [encoding.repeat(sampling.samples) for encoding in self._encode(context.take(rows))]
-        estimate = own.expand(-1, sampling.samples, -1, -1).clone()  # of everybody
+        estimate = own.repeat(1, sampling.samples, 1, 1)  # of everybody
         noise = torch.randn(estimate.shape, generator=generator)[rows]  # the same whoever else tries again
+        estimate[rows] = start
         noisy = self._noised(estimate[rows], noise, solver.timesteps[first])
         for i, k in list(enumerate(solver.timesteps))[first:]:
             others = None  # who the network sees is where they are by now, (R * M, N, horizon, 2)
             if context.rows is not None:
                 others = estimate[context.rows[rows]].transpose(1, 2).flatten(0, 1)
-            estimate[rows] = self._predict(noisy, k, many, estimate[rows] if i else None, others)
-            if i in led:
+            estimate[rows] = self._predict(noisy, k, many, estimate[rows], others)
+            if i + 1 < len(solver.timesteps):
                 guided = guide_direct(
                     estimate, future_of, objectives, self.guidance, self.schedule.variance(k)
                 )

@@ -13,6 +13,9 @@ from .objectives import Future, Objective
 _REACHED = 1e-4
 """A loss up to this needs no polish: a waypoint missed by a centimetre."""
 
+_PACE = 1.0
+"""Of those who set out for somewhere [m/s]."""
+
 Bound = Callable[[Tensor], Tensor]
 """From actions (A, M, horizon, 2) to the nearest ones that may be."""
 
@@ -83,8 +86,31 @@ def polished(
 ) -> Tensor:
     """Actions (A, 1, horizon, 2) after `guidance.polish` steps towards what is asked, safety last."""
     none = torch.zeros(())
+
+    def settled(actions: Tensor) -> Future:
+        return replace(future_of(actions), settled=True)
+
     in_turn = replace(guidance, inner_steps=guidance.polish, met=_REACHED)
     safety = replace(guidance, inner_steps=2 * guidance.polish, met=SAFE)
-    best = bound(guide_direct(actions, future_of, objectives, in_turn, none, careful=True))
+    best = bound(guide_direct(actions, settled, objectives, in_turn, none, careful=True))
     wishes = [wish for wish in objectives if wish.safety]
-    return bound(guide_direct(best, future_of, wishes, safety, none, careful=True))
+    return bound(guide_direct(best, settled, wishes, safety, none, careful=True))
+
+
+def setting_out(speed: Tensor, samples: int, horizon: int, dt: float) -> Tensor:
+    """Turns within a second, in each of M samples in another direction, and then straight on at a usual pace.
+
+    Args:
+        speed: (A,) now [m/s].
+        samples: M.
+        horizon: Actions.
+        dt: Between them [s].
+
+    Returns:
+        (A, M, horizon, 2) acceleration [m/s^2] and yaw rate [rad/s].
+    """
+    second = round(1 / dt)
+    actions = torch.zeros(len(speed), samples, horizon, 2)
+    actions[:, :, :second, 0] = (_PACE - speed)[:, None, None]
+    actions[:, :, :second, 1] = (torch.pi * (2 * torch.arange(samples) + 1 - samples) / samples)[:, None]
+    return actions

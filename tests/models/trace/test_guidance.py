@@ -6,6 +6,7 @@ from footfall.models.trace.dynamics import rollout
 from footfall.models.trace.guidance import Guidance, GuidanceError, guide_direct
 from footfall.models.trace.objectives import Future, Objective
 from footfall.models.trace.scene_map import SceneMaps
+from footfall.models.trace.settling import polished
 
 NOW = torch.tensor([[0.0, 0.0, 0.0, 1.2]])
 
@@ -71,6 +72,16 @@ def test_careful_steps_do_not_leap_where_a_loss_cannot_become_zero():
     assert (wish[0].loss(future_of(careful)) <= before).all()
     assert (wish[0].loss(future_of(careful)) < before).any()
     assert (wish[0].loss(future_of(bold)) > before + 0.1).any()
+
+
+@pytest.mark.parametrize("ahead", [3.03, 3.05, 3.057, 3.066, 3.09, 3.12])
+def test_polish_brings_a_state_to_the_goal_even_from_halfway_between_two(ahead):
+    goal = torch.tensor([[ahead, 0.02]])  # states are 0.12 m apart
+    near = {"goal": goal, "temperature": 0.05, "widening": 0.3}
+    best = polished(
+        torch.zeros(1, 1, 50, 2), future_of, [Objective("waypoint", near)], Guidance(polish=8), lambda a: a
+    )
+    assert (future_of(best).positions - goal[:, None, None]).norm(dim=-1).min() < 0.011
 
 
 def test_direct_guidance_parts_people():

@@ -147,6 +147,15 @@ def test_widening_lets_who_stands_turn_for_a_goal_behind():
     assert late[0] < 1e-3 < late[1]  # without it only the first states are moved
 
 
+def test_of_what_is_settled_only_the_nearest_state_counts_near_the_goal():
+    near = {"goal": [2.03, 0.0], "temperature": 0.05, "widening": 0.3}
+    soft, hard = (walkers([[0, 0]], [[1, 0]], settled=settled) for settled in (False, True))
+    assert loss(hard, "waypoint", **near).item() == pytest.approx(0.03**2, rel=0.05)
+    assert loss(soft, "waypoint", **near).item() > 2 * 0.03**2
+    paper = {"goal": [2.03, 0.0], "temperature": 0.05}  # without widening it is eq 12 and 13 to the end
+    assert torch.equal(loss(hard, "waypoint", **paper), loss(soft, "waypoint", **paper))
+
+
 def test_agents_without_a_goal_are_left_alone():
     future = walkers([[0, 0], [0, 5]], [[1, 0], [1, 0]])
     goals = torch.tensor([[2.0, 1.0], [NAN, NAN]])

@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 import torch
 
-from footfall.models.trace import planner as planner_module
 from footfall.models.trace import settling
 from footfall.models.trace.context import scene_context
 from footfall.models.trace.diffusion import DDIM, CosineSchedule
 from footfall.models.trace.guidance import Guidance
-from footfall.models.trace.objectives import Objective, ObjectiveError
-from footfall.models.trace.planner import DISTILLED, FEW, SHIPPED, WEIGHTS, Sampling, TracePlanner
+from footfall.models.trace.objectives import Future, Objective, ObjectiveError
+from footfall.models.trace.planner import DISTILLED, FEW, SHIPPED, THOROUGH, WEIGHTS, Sampling, TracePlanner
 from footfall.models.trace.scene_map import SceneMaps
 from footfall.models.trace.weights import WeightsError, load_model
 
@@ -253,32 +252,37 @@ def test_objectives_take_variety_off_the_noise(trace):
     assert spread(0.1, []) == spread(1.0, [])
 
 
-@pytest.mark.parametrize(("people", "tries"), [(1, [False, True, True]), (9, [False])])
-def test_who_is_still_lost_begins_anew_unless_so_many_are(trace, monkeypatch, people, tries):
-    anew = []
+@pytest.mark.parametrize(("people", "tries"), [(1, 3), (9, 1)])
+def test_who_is_still_lost_tries_again_unless_so_many_are(trace, monkeypatch, people, tries):
+    tried = []
     resample = TracePlanner._resample
-    monkeypatch.setattr(TracePlanner, "_resample", lambda *args: anew.append(args[-1]) or resample(*args))
+    monkeypatch.setattr(TracePlanner, "_resample", lambda *args: tried.append(args[1]) or resample(*args))
     planner = TracePlanner(trace, replace(FEW, samples=2), Guidance(tries=3))
     beyond = [Objective("target_speed", {"speed": 9.0})]
     planner.plan(*crowd(people), objectives=beyond)
-    assert anew == tries
+    assert [rows.tolist() for rows in tried] == [list(range(people))] * tries
 
 
-def test_who_begins_anew_is_not_led_at_the_first_step(trace, monkeypatch):
-    led, guided = {}, []
-    resample, guide = TracePlanner._resample, planner_module.guide_direct
-    monkeypatch.setattr(planner_module, "guide_direct", lambda *args: guided.append(args[-1]) or guide(*args))
+def test_who_stands_with_the_goal_behind_sets_out_in_other_directions(trace):
+    states, size, goal = torch.zeros(1, 31, 4), torch.full((1, 2), 0.8), torch.tensor([[-3.0, 0.0]])
+    planner = TracePlanner(trace, replace(FEW, samples=8), THOROUGH)
+    context = scene_context(
+        states, size, None, None, trace.config.max_neighbors, trace.config.neighbor_radius
+    )
+    still = (-trace.trajectory_mean[4:] / trace.trajectory_std[4:]).expand(1, 1, trace.config.horizon, 2)
 
-    def spy(*args):
-        guided.clear()
-        found = resample(*args)
-        led[args[-1]] = [round(float(variance), 4) for variance in guided]
-        return found
+    def future_of(actions):
+        return Future(planner.world_states(actions, states[:, -1]), states[:, -1], size[:, 0] / 2)
 
-    monkeypatch.setattr(TracePlanner, "_resample", spy)
-    planner = TracePlanner(trace, replace(FEW, samples=2), Guidance(tries=2))
-    planner.plan(*crowd(1), objectives=[Objective("target_speed", {"speed": 9.0})])
-    steps = planner.sampling.make_solver(planner.schedule).timesteps
-    part = [k for k in steps if k <= FEW.keep * 99]
-    assert led[True] == [round(float(planner.schedule.variance(k)), 4) for k in steps[1:-1]]
-    assert led[False] == [round(float(planner.schedule.variance(k)), 4) for k in part[:-1]]
+    def missed(start):
+        wish = [Objective("waypoint", {"goal": goal, "temperature": 0.05})]
+        rows, generator = torch.tensor([0]), torch.Generator().manual_seed(0)
+        found = planner._resample(rows, start, still, context, future_of, wish, generator)
+        return (future_of(found).positions - goal).norm(dim=-1).amin(-1)
+
+    starts = planner._starts(still, torch.zeros(1))
+    assert torch.equal(starts[:, ::2], still.expand(1, 4, -1, -1))
+    ahead = future_of(starts).states[0, 1::2, -1]
+    assert torch.allclose(ahead[:, 3], torch.ones(4), atol=1e-3)  # a usual pace
+    assert torch.allclose(ahead[:, 2].rad2deg(), torch.tensor([-112.5, -22.5, 67.5, 157.5]), atol=0.1)
+    assert missed(starts)[0, 1::2].min() < 1.5 < 2.5 < missed(still.expand(1, 8, -1, -1)).min()
