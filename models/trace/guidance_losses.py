@@ -178,9 +178,10 @@ def waypoint(future: Future, goal: Tensor, temperature: float = 1.0, widening: f
         square = offset.square().sum(-1)
         distance = square.sqrt()
         nearest = distance.amin(-1, keepdim=True)
-        softness = temperature + widening * nearest
         if future.settled and widening:
             softness = _SHARP + widening * nearest * nearest.clamp(max=1.0)
+        else:
+            softness = temperature + widening * nearest
         share = torch.softmax(-distance / softness, -1) * given[..., None]
         loss = (share * square).sum(-1)
         if not recorded:

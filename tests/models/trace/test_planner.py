@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from footfall.models.trace import planner as planner_module
 from footfall.models.trace import settling
 from footfall.models.trace.context import scene_context
 from footfall.models.trace.diffusion import DDIM, CosineSchedule
@@ -261,6 +262,25 @@ def test_who_is_still_lost_tries_again_unless_so_many_are(trace, monkeypatch, pe
     beyond = [Objective("target_speed", {"speed": 9.0})]
     planner.plan(*crowd(people), objectives=beyond)
     assert [rows.tolist() for rows in tried] == [list(range(people))] * tries
+
+
+def test_who_tries_again_is_led_at_a_part_of_the_noise_but_not_at_the_last_step(trace, monkeypatch):
+    led, guided = [], []
+    resample, guide = TracePlanner._resample, planner_module.guide_direct
+    monkeypatch.setattr(planner_module, "guide_direct", lambda *args: guided.append(args[-1]) or guide(*args))
+
+    def spy(*args):
+        guided.clear()
+        found = resample(*args)
+        led.append([round(float(variance), 4) for variance in guided])
+        return found
+
+    monkeypatch.setattr(TracePlanner, "_resample", spy)
+    planner = TracePlanner(trace, replace(FEW, samples=2), Guidance(tries=2))
+    planner.plan(*crowd(1), objectives=[Objective("target_speed", {"speed": 9.0})])
+    steps = planner.sampling.make_solver(planner.schedule).timesteps
+    part = [k for k in steps if k <= FEW.keep * 99]
+    assert led == [[round(float(planner.schedule.variance(k)), 4) for k in part[:-1]]] * 2
 
 
 def test_who_stands_with_the_goal_behind_sets_out_in_other_directions(trace):
