@@ -93,6 +93,10 @@ class ActionModel(nn.Module):
         rows = context.rows if self.config.joint else None
         return Encoding(condition, map_features, crowd, context.initial_state(), rows)
 
+    def normalized(self, actions: Tensor) -> Tensor:
+        """Of actions (..., 2) in SI units."""
+        return (actions - self.trajectory_mean[4:]) / self.trajectory_std[4:]
+
     def unroll(self, actions: Tensor, state: Tensor) -> Tensor:
         """States and actions, in SI units and the ego frame, of normalised actions.
 

@@ -275,9 +275,8 @@ class TracePlanner:
 
         Of those who stand with the goal behind, guidance alone makes people who stand: no turn of theirs gets anywhere.
         """
-        shape = self.sampling.samples, self.config.horizon
-        actions = setting_out(speed, *shape, self.config.dt)
-        starts = (actions - self.trace.trajectory_mean[4:]) / self.trace.trajectory_std[4:]
+        ways = setting_out(speed, self.sampling.samples, self.config.horizon, self.config.dt)
+        starts = self.trace.normalized(ways)
         starts[:, ::2] = own
         return starts
 
@@ -404,8 +403,7 @@ class TracePlanner:
         if elapsed < 0:
             raise ValueError(f"elapsed must not be negative, it is {elapsed}")
         horizon = self.config.horizon
-        straight = -self.trace.trajectory_mean[4:] / self.trace.trajectory_std[4:]
-        start = straight.repeat(len(ids), horizon, 1)
+        start = self.trace.normalized(torch.zeros(len(ids), horizon, 2))
         known = [(row, row_of[agent]) for row, agent in enumerate(ids) if agent in row_of]
         if known and elapsed < horizon:
             rows, old = torch.tensor(known).unbind(1)

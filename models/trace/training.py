@@ -49,7 +49,7 @@ def denoising_loss(
     count = len(actions)
     lost = torch.rand(2, count, generator=generator) < drop
     context = context.drop(maps=lost[0], neighbors=lost[1])
-    clean = (actions - trace.trajectory_mean[4:]) / trace.trajectory_std[4:]
+    clean = trace.normalized(actions)
     if context.moment is None:
         k = torch.randint(len(schedule), (count,), generator=generator)
     else:
@@ -59,7 +59,7 @@ def denoising_loss(
     state = context.initial_state()
     neighbors = None
     if trace.config.joint and context.neighbor_actions is not None:
-        theirs = (context.neighbor_actions - trace.trajectory_mean[4:]) / trace.trajectory_std[4:]
+        theirs = trace.normalized(context.neighbor_actions)
         neighbors = schedule.add_noise(theirs, torch.randn(theirs.shape, generator=generator), k)
     twice = trace.config.estimate and bool(torch.rand((), generator=generator) < _READS_ESTIMATE)
     predicted = model(schedule.add_noise(clean, noise, k), k, context, neighbors, twice)

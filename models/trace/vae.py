@@ -87,7 +87,7 @@ def vae_loss(
     """
     lost = torch.rand(2, len(actions), generator=generator) < drop
     context = context.drop(maps=lost[0], neighbors=lost[1])
-    clean = (actions - vae.trajectory_mean[4:]) / vae.trajectory_std[4:]
+    clean = vae.normalized(actions)
     noise = torch.randn(len(actions), LATENT, generator=generator)
     predicted, mean, log_variance = (x.float() for x in model(clean, noise, context))
     state = context.initial_state()
