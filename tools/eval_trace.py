@@ -30,6 +30,7 @@ from . import eval_trace_closed_loop as closed_loop
 from . import eval_trace_paper as paper
 from .eval_trace_paper import Row
 from .eval_trace_pictures import draw_guides, draw_samplers, draw_samples, draw_weights
+from .progress import progress_line
 from .results import write_section
 
 QUICK_SCENES = 4
@@ -242,8 +243,9 @@ def evaluate_all(
     choice: Choice = "guide",
     runs: int = 1,
 ) -> Report:
-    """`evaluate` with a scene a core."""
-    return evaluate(planner, scenes, wishes, choice, time.process_time, WORKERS, runs)
+    """`evaluate` with a scene a core, and progress on a terminal."""
+    progress = progress_line("scene")
+    return evaluate(planner, scenes, wishes, choice, time.process_time, WORKERS, runs, progress)
 
 
 def table_1(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Namespace) -> Iterator[Row]:
@@ -256,7 +258,8 @@ def table_1(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Names
         methods.remove("direct_slow")
     filtered = {}
     if "filter" in methods and (chosen := {g: GUIDES[g] for g in args.guides if g != "none"}):
-        filtered = evaluate_filter(TracePlanner(trace, slow), scenes, chosen, time.process_time, WORKERS)
+        unguided_slow, progress = TracePlanner(trace, slow), progress_line("scene")
+        filtered = evaluate_filter(unguided_slow, scenes, chosen, time.process_time, WORKERS, progress)
 
     def planner(method: str) -> TracePlanner:
         if method == "vae":

@@ -22,6 +22,7 @@ from ..models.trace.weights import load_model
 from . import eval_trace_paper as paper
 from .eval_trace_paper import Row
 from .eval_trace_pictures import draw_rollouts
+from .progress import progress_line
 
 FOLDS = ("eth", "hotel", "zara1", "zara2")  # those with maps
 QUICK_ROLLOUTS = 4
@@ -119,6 +120,12 @@ def figures(report: LoopReport) -> Row:
     }
 
 
+def walked(planner: TracePlanner, trials: Sequence[Rollout], guide: str) -> LoopReport:
+    """`evaluate_loop`, with progress on a terminal."""
+    progress = progress_line("rollout")
+    return evaluate_loop(planner, trials, guide, clock=time.process_time, progress=progress)
+
+
 def planners(
     trace: Trace, method: str, guide: str, args: argparse.Namespace
 ) -> Iterator[tuple[float | None, TracePlanner]]:
@@ -140,7 +147,7 @@ def table_2(trace: Trace, trials: Sequence[Rollout], args: argparse.Namespace) -
         yield from (row for row in paper.TABLE_2 if row["guide"] == guide)
         yield {"guide": guide, "method": "recorded", **figures(recorded(trials, guide))}
         for method, weight, planner in compared(trace, guide, args):
-            report = evaluate_loop(planner, trials, guide, clock=time.process_time)
+            report = walked(planner, trials, guide)
             labels: Row = {"guide": guide, "method": method, "config": planner.config.name, "w": weight}
             yield labels | figures(report)
 
@@ -167,7 +174,7 @@ def table_8(trace: Trace, trials: Sequence[Rollout], args: argparse.Namespace) -
         planner = TracePlanner(
             trace, dataclasses.replace(sampling, context_weight=float(row["w"] or 0)), guidance
         )
-        report = evaluate_loop(planner, trials, "perturbed", clock=time.process_time)
+        report = walked(planner, trials, "perturbed")
         yield {"w": row["w"], "method": "direct", "config": trace.config.name, **figures(report)}
 
 

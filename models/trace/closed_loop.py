@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
+from .evaluation import Progress, unwatched
 from .metrics import (
     RANGES,
     Array,
@@ -175,10 +176,12 @@ def evaluate_loop(
     task: str,
     seed: int = 0,
     clock: Callable[[], float] = lambda: 0.0,
+    progress: Progress = unwatched,
 ) -> LoopReport:
     """Walk all rollouts under one of `TASKS`; perturbations depend on the seed and the rollout only."""
-    tally, begun = LoopTally(trials[0].dt), clock()
-    for number, rollout, wanted in asked(trials, task, seed):
+    tally, begun, tasks = LoopTally(trials[0].dt), clock(), list(asked(trials, task, seed))
+    for done, (number, rollout, wanted) in enumerate(tasks, 1):
         path = walk(planner, rollout, wanted.wishes, seed=1000 * seed + number)
         tally.add(rollout, wanted, path[..., :2].numpy())
+        progress(done, len(tasks))
     return tally.report((clock() - begun) / max(len(tally.walked), 1))

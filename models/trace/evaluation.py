@@ -200,6 +200,12 @@ GUIDES: dict[str, Wishes] = {
 
 
 Choice = Literal["guide", "truth", "every"]
+Progress = Callable[[int, int], None]
+"""Told how many plans are made, and of how many."""
+
+
+def unwatched(done: int, total: int) -> None:
+    """Nobody is told."""
 
 
 def evaluate(
@@ -210,6 +216,7 @@ def evaluate(
     clock: Callable[[], float] = lambda: 0.0,
     workers: int = 1,
     runs: int = 1,
+    progress: Progress = unwatched,
 ) -> Report:
     """Plan every test scene and count.
 
@@ -223,17 +230,20 @@ def evaluate(
         clock: CPU seconds, for the report.
         workers: Scenes planned at a time; the figures do not depend on it.
         runs: Noise is drawn so many times, and the figures are averaged.
+        progress: Called after every plan.
     """
     each = planner.sampling.samples if choice == "every" else 1
     tallies = [Tally(scenes.dt) for _ in range(runs * each)]
     begun = clock()
     for run in range(runs):
-        for scene, plan in plan_each(planner, scenes, wishes, workers, _SEEDS_A_RUN * run):
+        plans = plan_each(planner, scenes, wishes, workers, _SEEDS_A_RUN * run)
+        for done, (scene, plan) in enumerate(plans, run * len(scenes) + 1):
             for sample, tally in enumerate(tallies[each * run : each * (run + 1)]):
                 chosen = np.full(len(plan.chosen), sample) if choice == "every" else plan.chosen
                 if choice == "truth":
                     chosen = displacement_errors(plan.positions, scene.truth[:, 1:])[0].argmin(1)
                 tally.add(scene, plan.positions, chosen)
+            progress(done, runs * len(scenes))
     seconds = (clock() - begun) / len(scenes) / runs
     return average([tally.report(seconds) for tally in tallies])
 
@@ -259,6 +269,7 @@ def evaluate_filter(
     guides: Mapping[str, Wishes],
     clock: Callable[[], float] = lambda: 0.0,
     workers: int = 1,
+    progress: Progress = unwatched,
 ) -> dict[str, Report]:
     """Choose among the same unguided samples by several guides (TRACE-Filter of table 1).
 
@@ -268,6 +279,7 @@ def evaluate_filter(
         guides: Objectives by name.
         clock: CPU seconds, for the reports.
         workers: Scenes planned at a time.
+        progress: Called after every plan.
     """
     tallies = {name: Tally(scenes.dt) for name in guides}
     begun = clock()
@@ -284,9 +296,10 @@ def evaluate_filter(
             chosen[name] = choose_samples(losses, objectives).numpy()
         return plan.positions, chosen
 
-    for scene, (positions, chosen) in _with_each(scenes, choose, workers):
+    for done, (scene, (positions, chosen)) in enumerate(_with_each(scenes, choose, workers), 1):
         for name, tally in tallies.items():
             tally.add(scene, positions, chosen[name])
+        progress(done, len(scenes))
     seconds = (clock() - begun) / len(scenes)
     return {name: tally.report(seconds) for name, tally in tallies.items()}
 

@@ -12,7 +12,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from .evaluation import TrialScenes, plan_each
+from .evaluation import Progress, TrialScenes, plan_each, unwatched
 from .network import Trace
 from .planner import TracePlanner
 
@@ -34,7 +34,7 @@ def mean_speed(
     planner: TracePlanner,
     scenes: TrialScenes,
     workers: int = 1,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = unwatched,
 ) -> float:
     """Of all futures of everybody in these scenes, without objectives [m/s]."""
     total, count = 0.0, 0

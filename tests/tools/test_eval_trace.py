@@ -146,7 +146,11 @@ def test_filtering_chooses_what_guided_sampling_would_count(crowds):
 def test_every_run_counts_and_the_figures_are_averaged(crowds, workers, runs):
     scenes = TrialScenes(replace(crowds, split=np.full(10, 2, np.uint8)), COMPACT, limit=2)
     planner = TracePlanner(Trace(COMPACT).eval(), Sampling(steps=2, samples=2, reduced=False))
-    report = evaluate(planner, scenes, choice="every", workers=workers, runs=runs)
+    seen: list[tuple[int, int]] = []
+    report = evaluate(
+        planner, scenes, choice="every", workers=workers, runs=runs, progress=lambda *told: seen.append(told)
+    )
+    assert seen == [(done, 2 * runs) for done in range(1, 2 * runs + 1)]
     missed = []
     for first in (0, 100_000)[:runs]:
         for seed, scene in enumerate(scenes, first):
