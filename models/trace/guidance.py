@@ -1,5 +1,6 @@
 """Test-time guidance: how gradients of the objectives bend the denoising (Rempe et al. 2023, sec. 3.1.2)."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -38,6 +39,9 @@ class Guidance:
         tries: How often whoever is still far from what they are asked tries again, in mode `direct`, while all others
             keep to what they have chosen: from a part of the noise, over their own way and ways in all directions.
         temperature: Factor of the noise that sampling begins with: objectives spread futures by themselves.
+        haste: People led to goals that they may reach at any time hurry there, as samples are chosen that get there.
+            So much is taken off their accelerations during the first half of the horizon, and half of it given
+            back during the second [m/s^2].
         met: A loss up to this needs no step.
         speeds: Guided futures keep between these speeds [m/s]: nobody is made to walk backwards or to race. Who walks
             faster already need not slow down for it; nobody in simulated crowds walks faster than 2 m/s.
@@ -51,6 +55,7 @@ class Guidance:
     polish: int = 6
     tries: int = 0
     temperature: float = 1.0
+    haste: float = 0.0
     met: float = 0.0
     speeds: tuple[float, float] = (0.0, 2.2)
 
@@ -61,6 +66,8 @@ class Guidance:
             raise GuidanceError(
                 "guidance strength, polish and tries must be >= 0, inner_steps >= 1, limit > 0"
             )
+        if not 0 <= self.haste < math.inf:
+            raise GuidanceError(f"guidance haste must be >= 0 m/s^2, not {self.haste}")
         if not self.temperature > 0:
             raise GuidanceError(f"guidance temperature must be > 0, not {self.temperature}")
         if not 0 <= self.speeds[0] < self.speeds[1]:

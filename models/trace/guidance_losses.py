@@ -155,7 +155,7 @@ def waypoint_at(future: Future, goal: Tensor, time: Tensor | float) -> Tensor:
     return distance.gather(2, frame.expand(-1, distance.shape[1], 1))[..., 0] * given
 
 
-@objective("waypoint")
+@objective("waypoint", untimed=True)
 def waypoint(future: Future, goal: Tensor, temperature: float = 1.0, widening: float = 0.0) -> Tensor:
     """Squared distance to a goal at whatever time the agent is nearest (eq 12-13), [m^2].
 

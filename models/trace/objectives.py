@@ -107,19 +107,23 @@ Loss = Callable[..., Tensor]
 class Kind:
     """A registered objective: its loss, whether agents depend on each other through it, whether it is safety.
 
-    `buffered`: it is safety and its parameter `buffer` is room beyond touching.
+    `buffered`: it is safety and its parameter `buffer` is room beyond touching. `untimed`: its parameter `goal` may
+    be reached at any time.
     """
 
     loss: Loss
     joint: bool
     safety: bool
     buffered: bool
+    untimed: bool
 
 
 OBJECTIVES: dict[str, Kind] = {}
 
 
-def objective(name: str, joint: bool = False, safety: bool = False) -> Callable[[Loss], Loss]:
+def objective(
+    name: str, joint: bool = False, safety: bool = False, untimed: bool = False
+) -> Callable[[Loss], Loss]:
     """Register a loss under a name.
 
     Args:
@@ -127,10 +131,12 @@ def objective(name: str, joint: bool = False, safety: bool = False) -> Callable[
         joint: The loss of one agent depends on the futures of others; then samples are chosen for a whole
             scene.
         safety: Nobody is to be hurt: these have the last word when a chosen sample is polished.
+        untimed: It leads to a `goal`, which may be reached at any time: see `Guidance.haste`.
     """
 
     def register(loss: Loss) -> Loss:
-        OBJECTIVES[name] = Kind(loss, joint, safety, safety and "buffer" in signature(loss).parameters)
+        buffered = safety and "buffer" in signature(loss).parameters
+        OBJECTIVES[name] = Kind(loss, joint, safety, buffered, untimed)
         return loss
 
     return register
@@ -178,6 +184,20 @@ class Objective:
     def buffered(self) -> bool:
         """Whether it keeps a `buffer` beyond touching, without which it is about touching alone."""
         return OBJECTIVES[self.name].buffered
+
+    def led(self, agents: int) -> Tensor:
+        """(A, 1) who is led to a goal that may be reached at any time.
+
+        Raises:
+            ObjectiveError: When the goal does not fit the agents.
+        """
+        goal = self.parameters.get("goal")
+        if goal is None or not OBJECTIVES[self.name].untimed:
+            return torch.zeros(agents, 1, dtype=torch.bool)
+        try:
+            return per_agent(goal, agents, 1)[1] & (self.share > 0)
+        except ObjectiveError as error:
+            raise ObjectiveError(f"objective {self.name!r}: {error}") from error
 
     @property
     def share(self) -> Tensor:

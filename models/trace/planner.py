@@ -32,7 +32,7 @@ BEYOND = 5.0
 """Goals may lie so far outside the map [m]."""
 
 
-THOROUGH = Guidance(limit=0.5, polish=8, tries=3, temperature=0.97)
+THOROUGH = Guidance(limit=0.5, polish=8, tries=3, temperature=0.97, haste=0.008)
 """How objectives bend the samples unless told otherwise."""
 
 _LOST = 8
@@ -218,6 +218,7 @@ class TracePlanner:
         many = [encoding.repeat(sampling.samples) for encoding in one]
         if start is not None:
             noise = self._noised(start, noise, solver.timesteps[first])
+        lag = self._lag(objectives, len(context))
         noisy, estimate = noise, start
         for i, k in list(enumerate(solver.timesteps))[first:]:
             # What the last step would be led to nothing mends any more: that is for those who are polished.
@@ -225,10 +226,10 @@ class TracePlanner:
             if start is None and i == 0 and not self.config.timesteps:
                 # All noise, which says nothing: one prediction serves all samples. To a distilled network it says
                 # which of the teacher's futures to go for.
-                clean, shift = self._guided(noisy[:, :1], k, one, None, future_of, wishes)
+                clean, shift = self._guided(noisy[:, :1], k, one, None, future_of, wishes, lag)
                 clean = clean.expand_as(noisy)
             else:
-                clean, shift = self._guided(noisy, k, many, estimate, future_of, wishes)
+                clean, shift = self._guided(noisy, k, many, estimate, future_of, wishes, lag)
             if objectives:
                 clean = self._within_speeds(clean, context.speed)
             noisy, estimate = solver.step(clean, noisy, i, generator) - shift, clean
@@ -301,11 +302,12 @@ class TracePlanner:
         noise = torch.randn(estimate.shape, generator=generator)[rows]  # the same whoever else tries again
         estimate[rows] = start
         noisy = self._noised(estimate[rows], noise, solver.timesteps[first])
+        lag = self._lag(objectives, len(context))
         for i, k in list(enumerate(solver.timesteps))[first:]:
             others = None  # who the network sees is where they are by now, (R * M, N, horizon, 2)
             if context.rows is not None:
                 others = estimate[context.rows[rows]].transpose(1, 2).flatten(0, 1)
-            estimate[rows] = self._predict(noisy, k, many, estimate[rows], others)
+            estimate[rows] = self._predict(noisy, k, many, estimate[rows], others) - lag[rows]
             if i + 1 < len(solver.timesteps):
                 guided = guide_direct(
                     estimate, future_of, objectives, self.guidance, self.schedule.variance(k)
@@ -327,6 +329,18 @@ class TracePlanner:
     def _noised(self, actions: Tensor, noise: Tensor, k: int) -> Tensor:
         return self.schedule.add_noise(actions, noise, torch.full((len(actions),), k))
 
+    def _lag(self, objectives: Sequence[Objective], agents: int) -> Tensor:
+        """What `haste` takes off normalised actions (A, 1, horizon, 2): nothing of who is not led anywhere."""
+        led = torch.zeros(agents, 1, dtype=torch.bool)
+        if self.guidance.haste:
+            for wish in objectives:
+                led = led | wish.led(agents)
+        horizon = self.config.horizon
+        lag = torch.zeros(horizon, 2)
+        lag[: horizon // 2, 0] = self.guidance.haste / self.trace.trajectory_std[4]
+        lag[horizon // 2 :, 0] = -lag[0, 0] / 2
+        return led[..., None, None] * lag
+
     def _within_speeds(self, actions: Tensor, speed: Tensor) -> Tensor:
         """The nearest actions (A, M, horizon, 2) whose speeds, from (A,) now, keep the bounds of guidance."""
         mean, std = self.trace.trajectory_mean[4], self.trace.trajectory_std[4]
@@ -345,20 +359,21 @@ class TracePlanner:
         estimate: Tensor | None,
         future_of: FutureOf,
         objectives: Sequence[Objective],
+        lag: Tensor,
     ) -> tuple[Tensor, Tensor | float]:
         """Guided clean actions, and what guidance takes off the next noisy ones."""
         guidance = self.guidance
         if not objectives:
-            return self._predict(noisy, k, encodings, estimate), 0.0
+            return self._predict(noisy, k, encodings, estimate) - lag, 0.0
         variance = self.schedule.variance(k)
         if guidance.mode == "clean":
             with torch.enable_grad():
                 noisy = noisy.detach().requires_grad_()
-                clean = self._predict(noisy, k, encodings, estimate)
+                clean = self._predict(noisy, k, encodings, estimate) - lag
                 loss = total_loss(objectives, future_of(clean))
                 gradient = gradient_of(loss, noisy)
             return clean.detach() - guidance.step(loss.detach(), gradient, variance), 0.0
-        clean = self._predict(noisy, k, encodings, estimate)
+        clean = self._predict(noisy, k, encodings, estimate) - lag
         if guidance.mode == "direct":
             return guide_direct(clean, future_of, objectives, guidance, variance), 0.0
         with torch.enable_grad():

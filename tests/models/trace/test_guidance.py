@@ -114,7 +114,16 @@ def test_a_way_through_a_pillar_leads_around_it(side):
 
 
 @pytest.mark.parametrize(
-    "bad", [{"strength": -1.0}, {"inner_steps": 0}, {"mode": "dirty"}, {"limit": 0.0}, {"temperature": 0.0}]
+    "bad",
+    [
+        {"strength": -1.0},
+        {"inner_steps": 0},
+        {"mode": "dirty"},
+        {"limit": 0.0},
+        {"temperature": 0.0},
+        {"haste": -0.1},
+        {"haste": float("inf")},
+    ],
 )
 def test_bad_settings_are_refused(bad):
     with pytest.raises(GuidanceError):

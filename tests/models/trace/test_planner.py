@@ -233,9 +233,9 @@ def test_the_last_step_is_left_to_who_is_polished(trace, monkeypatch, polish, gu
     asked = []
     guide = TracePlanner._guided
 
-    def spy(self, noisy, k, encodings, estimate, future_of, objectives):
+    def spy(self, noisy, k, encodings, estimate, future_of, objectives, lag):
         asked.append(len(objectives))
-        return guide(self, noisy, k, encodings, estimate, future_of, objectives)
+        return guide(self, noisy, k, encodings, estimate, future_of, objectives, lag)
 
     monkeypatch.setattr(TracePlanner, "_guided", spy)
     planner = TracePlanner(trace, replace(FEW, samples=2), Guidance(polish=polish))
@@ -251,6 +251,23 @@ def test_objectives_take_variety_off_the_noise(trace):
     met = [Objective("minimum_speed", {"speed": 0.0})]  # of everybody, so nothing but the noise differs
     assert spread(0.1, met) < 0.3 * spread(1.0, met)
     assert spread(0.1, []) == spread(1.0, [])
+
+
+def test_haste_holds_back_whoever_is_led_and_may_come_at_any_time(trace):
+    def speeds(haste, objective, weight: torch.Tensor | float = 1.0, **more):
+        goal = torch.tensor([[4.0, 0.0], [torch.nan, torch.nan], [4.0, 4.0]])
+        wish = [Objective(objective, {"goal": goal, **more}, weight)]
+        how = Guidance(strength=0.0, polish=0, haste=haste)  # nobody is bent: what differs is held back
+        return TracePlanner(trace, Sampling(steps=1, samples=2), how).plan(*crowd(), objectives=wish).speeds
+
+    held = speeds(0.0, "waypoint") - speeds(0.1, "waypoint")
+    assert np.allclose(held[1], 0, atol=1e-6)  # has no goal
+    half = trace.config.horizon // 2
+    profile = np.concatenate([0.01 * np.arange(1, half + 1), 0.01 * half - 0.005 * np.arange(1, 51 - half)])
+    assert np.allclose(held[[0, 2]], profile, atol=1e-4)
+    some = speeds(0.0, "waypoint") - speeds(0.1, "waypoint", torch.tensor([1.0, 1.0, 0.0]))
+    assert np.allclose(some[2], 0, atol=1e-6) and np.allclose(some[0], profile, atol=1e-4)
+    assert np.array_equal(speeds(0.0, "waypoint_at", time=4.0), speeds(0.1, "waypoint_at", time=4.0))
 
 
 @pytest.mark.parametrize(("people", "tries"), [(1, 3), (9, 1)])
