@@ -2,6 +2,7 @@ import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from footfall.models.trace.orca_scenes import CrowdSpec, simulate_crowds
 from footfall.models.trace.planner import SHIPPED, Sampling, TracePlanner
 from footfall.models.trace.weights import save_model
 from footfall.tools import eval_trace
+from footfall.tools.eval_trace import quality_ratio
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -94,15 +96,32 @@ def test_slow_rows_take_all_steps_but_not_in_haste(crowds, tmp_path, capsys, mon
     monkeypatch.setattr(eval_trace, "SLOW", Sampling(solver="ddpm", samples=2))
     monkeypatch.setattr(eval_trace, "QUICK", Sampling(solver="ddim", steps=20, samples=2))
     data = ["--data", str(tmp_path / "maps.npz"), "--guides", "waypoint"]
-    slow = ["--methods", "filter", "direct_slow"]
+    slow = ["--methods", "filter", "direct_slow", "direct"]
+    fast = ("direct", "distilled 4")
     for flags, expected in (
-        ([], [("filter", "ddpm 100"), ("direct_slow", "ddpm 100")]),
-        (["--quick"], [("filter", "ddim 20")]),
+        ([], [("filter", "ddpm 100"), ("direct_slow", "ddpm 100"), fast]),
+        (["--quick"], [("filter", "ddim 20"), fast]),
     ):
         assert run(*data, *slow, "--json", *flags) == 0
         rows = json.loads(capsys.readouterr().out)["rows"]
         ours = [row for row in rows if not row["method"].startswith("paper")]
         assert [(row["method"], row["sampler"]) for row in ours] == expected
+        ratios = [row.get("ratio") for row in ours]
+        assert ratios[:-1] == [None] * (len(ours) - 1)
+        assert ratios[-1] == (None if flags else quality_ratio(ours[-1], ours[-2]))
+
+
+def test_quality_is_the_mean_ratio_of_all_measures():
+    slow: dict[str, Any] = {"guide": "all", "error": 0.019, "obstacle": 0.0, "agent": 0.0}
+    slow |= {"emd_vel": 0.019, "emd_lon": 0.009, "emd_lat": 0.009}
+    fast = slow | {"error": 0.004, "emd_vel": 0.079}  # with a thousandth added a quarter, and four times
+    assert quality_ratio(slow, slow) == 1.0 == pytest.approx(quality_ratio(fast, slow))
+    for guide, error in (
+        ("none", None),
+        ("obstacle", 0.0),
+    ):  # five measures: the error is none, or one of them
+        slow |= {"guide": guide, "error": error}
+        assert quality_ratio(slow | {"emd_lon": 0.319}, slow) == pytest.approx(2.0)  # one is 32 times
 
 
 def test_ablations_stand_beside_ours(crowds, tmp_path, capsys, monkeypatch):
