@@ -296,12 +296,12 @@ def table_1(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Names
     def row(guide: str, method: str, sampler: str, report: Report) -> Row:
         name = shipped if method == "direct" else config
         labels: Row = {"guide": guide, "method": method, "sampler": sampler, "config": name}
-        found = labels | {"error": guide_error(guide, report), **metrics(report)}
+        found = labels | {"error": guide_error(guide, report), **metrics(report), "seconds": report.seconds}
         if method in ("unguided", "direct_slow"):
             slowly[guide] = found
         elif method == "direct" and guide in slowly:
             found["ratio"] = quality_ratio(found, slowly[guide])
-        return found | {"seconds": report.seconds}
+        return found
 
     for guide in args.guides:
         yield from (row for row in paper.TABLE_1 if row["guide"] == guide)

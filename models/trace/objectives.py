@@ -9,7 +9,8 @@ and for a hundred. A new objective is one decorated function:
         return torch.relu(y - future.positions[..., 1]).sum(-1)
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import lru_cache
@@ -194,10 +195,8 @@ class Objective:
         goal = self.parameters.get("goal")
         if goal is None or not OBJECTIVES[self.name].untimed:
             return torch.zeros(agents, 1, dtype=torch.bool)
-        try:
+        with self._named():
             return per_agent(goal, agents, 1)[1] & (self.share > 0)
-        except ObjectiveError as error:
-            raise ObjectiveError(f"objective {self.name!r}: {error}") from error
 
     @property
     def share(self) -> Tensor:
@@ -210,8 +209,14 @@ class Objective:
         Raises:
             ObjectiveError: When the parameters do not fit the loss.
         """
-        try:
+        with self._named():
             return OBJECTIVES[self.name].loss(future, **self.parameters)
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Whatever does not fit is said to be of this objective."""
+        try:
+            yield
         except (TypeError, ObjectiveError) as error:
             raise ObjectiveError(f"objective {self.name!r}: {error}") from error
 
