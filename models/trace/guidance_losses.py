@@ -192,7 +192,11 @@ def waypoint(future: Future, goal: Tensor, temperature: float = 1.0, widening: f
 
 @objective("global_waypoint_at")
 def global_waypoint_at(
-    future: Future, goal: Tensor, time: Tensor | float, urgency: float = 0.7, speed: float = 1.25
+    future: Future,
+    goal: Tensor,
+    time: Tensor | float,
+    urgency: Tensor | float = 0.7,
+    speed: Tensor | float = 1.25,
 ) -> Tensor:
     """Be near enough to a goal for a time beyond the horizon (eq 14-16) [m]; within it, `waypoint_at`.
 
@@ -200,22 +204,23 @@ def global_waypoint_at(
         future: Of one scene.
         goal: (A, 2) world x, y [m].
         time: (A,) seconds from now.
-        urgency: 0 to 1, arrive earlier.
-        speed: Preferred speed [m/s].
+        urgency: 0 to 1, arrive earlier; for all or (A,).
+        speed: Preferred speed [m/s], for all or (A,).
     """
+    agents = len(future.states)
     distance, given = distance_to(future, goal)
-    due, _ = per_agent(time, len(future.states))
+    (due, timed), (pace, paced), (urge, urged) = (per_agent(v, agents) for v in (time, speed, urgency))
     beyond = due > distance.shape[-1] * future.dt
-    far = torch.relu(distance[..., -1] - due * speed * (1 - urgency)) * given
-    return torch.where(beyond, far, waypoint_at(future, goal, time))
+    far = torch.relu(distance[..., -1] - due * pace * (1 - urge))
+    return torch.where(beyond, far, waypoint_at(future, goal, time)) * (given & timed & paced & urged)
 
 
 @objective("global_waypoint")
 def global_waypoint(
     future: Future,
     goal: Tensor,
-    urgency: float = 0.7,
-    speed: float = 1.25,
+    urgency: Tensor | float = 0.7,
+    speed: Tensor | float = 1.25,
     temperature: float = 1.0,
     widening: float = 0.0,
 ) -> Tensor:
@@ -224,17 +229,20 @@ def global_waypoint(
     Args:
         future: Of one scene.
         goal: (A, 2) world x, y [m].
-        urgency: 0 to 1, share of the distance the horizon allows.
-        speed: Preferred speed [m/s].
+        urgency: 0 to 1, share of the distance the horizon allows; for all or (A,).
+        speed: Preferred speed [m/s], for all or (A,).
         temperature: See `waypoint`.
         widening: See `waypoint`.
     """
+    agents = len(future.states)
     distance, given = distance_to(future, goal)
-    goals, _ = per_agent(goal, len(future.states), 1)
+    goals, _ = per_agent(goal, agents, 1)
     start = (future.now[:, None, :2] - goals).norm(dim=-1)  # (A, 1)
-    reach = distance.shape[-1] * future.dt * speed
-    behind = torch.relu(urgency * reach - (start - distance[..., -1])) * given
-    return torch.where(start > reach, behind, waypoint(future, goal, temperature, widening))
+    (pace, paced), (urge, urged) = per_agent(speed, agents), per_agent(urgency, agents)
+    reach = distance.shape[-1] * future.dt * pace
+    behind = torch.relu(urge * reach - (start - distance[..., -1]))
+    near = waypoint(future, goal, temperature, widening)
+    return torch.where(start > reach, behind, near) * (given & paced & urged)
 
 
 @objective("social_group", joint=True)

@@ -180,6 +180,16 @@ def test_global_waypoint_equals_eq_17_to_20():
     assert torch.equal(loss(future, "global_waypoint", **near), loss(future, "waypoint", **near))
 
 
+def test_everybody_may_have_a_pace_and_an_urgency_of_their_own():
+    future = walkers([[0, 0], [0, 5], [0, 9]], [[0.5, 0]] * 3, samples=2)
+    goals = torch.tensor([[20.0, 0], [20, 5], [20, 9]])
+    own = {"speed": torch.tensor([1.0, 1.5, NAN]), "urgency": torch.tensor([0.7, 0.9, 0.7])}
+    behind = loss(future, "global_waypoint", goal=goals, **own)
+    assert torch.allclose(behind.T, torch.tensor([0.7 * 5 - 2.5, 0.9 * 7.5 - 2.5, 0.0]), atol=1e-4)
+    late = loss(future, "global_waypoint_at", goal=goals, time=10.0, **own)
+    assert torch.allclose(late.T, torch.tensor([17.5 - 3.0, 17.5 - 1.5, 0.0]), atol=1e-4)
+
+
 def test_social_group_keeps_distance_and_spares_the_leader():
     future = walkers([[0, 0], [0, 2], [9, 9]], [[1, 0], [1, 0], [1, 0]])
     group = torch.tensor([4, 4, -1])
