@@ -44,7 +44,7 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--drop", type=float, default=0.05, help="probability of dropping map or neighbours")
     train_trace.add_arguments(parser)
     parser.set_defaults(run=run, model="distilled", balance=0.0, touch=8.0, calm=3.0)
-    parser.set_defaults(batch=56, steps=5500, rate=5e-4, decay=0.5)
+    parser.set_defaults(batch=56, steps=5500, rate=5e-4, decay=0.5, half=True)
 
 
 def load_teacher(path: Path) -> Trace:
@@ -61,8 +61,6 @@ def load_teacher(path: Path) -> Trace:
 
 class Distillation(train_trace.TrainingRun):
     """A training run that learns from the paths of a teacher, which it begins as."""
-
-    half = True
 
     def __init__(self, args: argparse.Namespace, rank: int, world: int):
         teacher = load_teacher(args.teacher)

@@ -62,6 +62,7 @@ def add_parser(subparsers) -> None:
     parser.add_argument(
         "--drop", type=float, default=0.1, help="probability of dropping the map or the neighbours"
     )
+    parser.add_argument("--half", action="store_true", help="write the weights in float16")
     parser.set_defaults(run=run)
 
 
@@ -113,9 +114,6 @@ class TrainingRun:
         rank: Number of this process.
         world: Number of processes.
     """
-
-    half = False
-    """Whether weights are written in float16."""
 
     def __init__(self, args: argparse.Namespace, rank: int, world: int):
         self.args, self.rank, self.world = args, rank, world
@@ -263,7 +261,7 @@ class TrainingRun:
         progress = {"progress": vars(self.progress), "before": vars(self.before)}
         save_tensors(self.folder / "state.safetensors", tensors, {**progress, **self.facts()})
         with self.averaged():
-            save_model(self.folder / "model.safetensors", self.trace, self.facts(), self.half)
+            save_model(self.folder / "model.safetensors", self.trace, self.facts(), self.args.half)
 
     def resume(self) -> None:
         """Go on from `state.safetensors`."""

@@ -74,6 +74,15 @@ def test_resuming_is_the_same_as_going_on(data, tmp_path):
     assert all(torch.allclose(whole[k], parts[k], atol=1e-6) for k in whole)
 
 
+def test_weights_in_half_precision_are_those_of_the_run_rounded(data, tmp_path):
+    assert run(data, tmp_path / "whole", 2) == run(data, tmp_path / "half", 2, "--half") == 0
+    whole, half = (load_tensors(tmp_path / name / "model.safetensors")[0] for name in ("whole", "half"))
+    assert whole["joint.0.weight"].dtype == torch.float32 and half["joint.0.weight"].dtype == torch.float16
+    assert torch.equal(half["joint.0.weight"], whole["joint.0.weight"].half())
+    states = weights(tmp_path / "whole"), weights(tmp_path / "half")
+    assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
+
+
 def test_a_run_leaves_weights_curve_and_picture(data, tmp_path):
     assert run(data, tmp_path, 4) == 0
     _, facts = load_model(tmp_path / "model.safetensors")
