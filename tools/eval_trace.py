@@ -129,7 +129,9 @@ def add_parser(subparsers) -> None:
     parser.add_argument("--table", choices=sorted(COLUMNS), default="1")
     parser.add_argument("--data", type=Path, default=Path("data/orca/maps.npz"), help="made by `data orca`")
     parser.add_argument("--split", choices=("val", "test"), default="test", help="settings are tuned on val")
-    parser.add_argument("--weights", type=Path, default=WEIGHTS)
+    parser.add_argument(
+        "--weights", type=Path, help=f"default: {WEIGHTS.name}; of tables 2 and 8 those without the fold"
+    )
     parser.add_argument("--distilled", type=Path, default=DISTILLED, help="weights of what takes four steps")
     parser.add_argument(
         "--guides", nargs="+", choices=sorted(GUIDES), default=list(GUIDES), help="of table 1"
@@ -168,19 +170,24 @@ def run(args: argparse.Namespace) -> int:
     try:
         if args.runs < 1:
             raise ValueError(f"--runs must be at least 1, not {args.runs}")
-        trace, facts = load_model(args.weights)
         if args.table in closed_loop.TABLES:
-            trials = closed_loop.read_trials(args, trace.config)
+            folds = closed_loop.read_folds(args)
             if args.pictures:
-                print(closed_loop.picture(trace, trials, args))
+                print(closed_loop.picture(folds[0], args.pictures))
                 return 0
-            source = closed_loop.source(trace, facts, trials, args)
-            show(args, closed_loop.TABLES[args.table](trace, trials, args), source, f"trace-{args.table}")
+            rows = closed_loop.TABLES[args.table](folds, args)
+            show(args, rows, closed_loop.source(folds, args.split), f"trace-{args.table}")
             return 0
+        args.weights = args.weights or WEIGHTS
+        trace, facts = load_model(args.weights)
         fast, fast_facts = load_model(args.distilled)
         crowds = Crowds.load(args.data)
         limit = QUICK_SCENES if args.quick else args.scenes
         scenes = TrialScenes(crowds, trace.config, args.split, limit)
+        if not len(scenes):
+            raise ValueError(
+                f"{args.data}: there is no {args.split} scene with anybody who is seen throughout"
+            )
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
@@ -235,7 +242,7 @@ def metrics(report: Report) -> Row:
     }
 
 
-def quality_ratio(row: Row, reference: Row) -> float:
+def measures_ratio(row: Row, reference: Row) -> float:
     """Geometric mean of a row's measures over those of another row; what differs by far less than .001 is equal.
 
     A single column says little: EMDs of three runs vary by a sixth from seeds to seeds.
@@ -300,7 +307,7 @@ def table_1(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Names
         if method in ("unguided", "direct_slow"):
             slowly[guide] = found
         elif method == "direct" and guide in slowly:
-            found["ratio"] = quality_ratio(found, slowly[guide])
+            found["ratio"] = measures_ratio(found, slowly[guide])
         return found
 
     for guide in args.guides:

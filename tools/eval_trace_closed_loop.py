@@ -2,49 +2,57 @@
 
 import argparse
 import dataclasses
+import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..models.trace.closed_loop import LoopReport, evaluate_loop, recorded
-from ..models.trace.config import TraceConfig
-from ..models.trace.crowd_file import Crowds
+from ..models.trace.closed_loop import LoopReport, LoopTally, recorded, walk_all
+from ..models.trace.crowd_file import CrowdFileError, Crowds
 from ..models.trace.guidance import Guidance
 from ..models.trace.network import Trace
-from ..models.trace.planner import FEW, Sampling, TracePlanner
+from ..models.trace.planner import DISTILLED, FEW, Sampling, TracePlanner
 from ..models.trace.rollouts import Rollout, rollouts
 from ..models.trace.vae import WEIGHTS as VAE_WEIGHTS
 from ..models.trace.vae import VaePlanner, load_vae
-from ..models.trace.weights import load_model
+from ..models.trace.weights import WeightsError, load_model
 from . import eval_trace_paper as paper
+from .data_eth_ucy import FOLDS as LEFT_OUT
+from .data_eth_ucy import RECORDINGS
 from .eval_trace_paper import Row
 from .eval_trace_pictures import draw_rollouts
 from .progress import progress_line
 
-FOLDS = ("eth", "hotel", "zara1", "zara2")  # those with maps
+FOLDS = ("eth", "hotel", "zara")
+"""Places with maps, for each of which there is a network that has seen nobody there."""
 QUICK_ROLLOUTS = 4
 SAMPLES = 10  # app. C.5
 VAE_ITERATIONS = 200  # app. C.4
-STRENGTH = {"waypoint": 0.2, "perturbed": 0.2, "groups": 1.0}
-"""Of guidance: waypoints gently, as a second later there is another plan (chosen on validation scenes)."""
-_FEW_STEPS = dataclasses.replace(FEW, steps=8, samples=SAMPLES)
-_MANY_STEPS = Sampling(solver="ddim", steps=20, samples=SAMPLES)
+GUIDES = ("waypoint", "urgent", "perturbed", "groups")
+STRENGTH = 0.6
+"""Of guidance: gently, as a second later there is another plan (this and all below chosen on validation scenes)."""
+INNER_STEPS = {"groups": 15}
+"""Of `direct` guidance: members of a group who move apart, each as far as it takes, have gone too far."""
+_TEMPERATURE = 0.85  # of `direct`: of ten samples the best of each plan is followed, so fewer need to be bold
+_FEW_STEPS = dataclasses.replace(FEW, steps=8, samples=SAMPLES, keep=0.7)
+_MANY_STEPS = Sampling(solver="ddim", steps=20, samples=SAMPLES, keep=0.7)
 METHODS: dict[str, tuple[Sampling, Guidance]] = {
     "filter": (_FEW_STEPS, Guidance(strength=0.0, inner_steps=1, polish=0)),
     "noisy": (_MANY_STEPS, Guidance(mode="noisy")),
     "clean": (_MANY_STEPS, Guidance(mode="clean")),
-    "direct": (_FEW_STEPS, Guidance(mode="direct", inner_steps=1, polish=0)),
+    "direct": (_FEW_STEPS, Guidance(mode="direct", polish=0, temperature=_TEMPERATURE)),
 }
 """As in the other tables, with fewer samples and steps of guidance."""
-GUIDES = ("waypoint", "perturbed", "groups")
-WEIGHTS = {"direct": (0.0, -0.5), "clean": (0.0, -0.5)}
+CONTEXT_WEIGHTS = {"direct": (0.0, -0.5), "clean": (0.0, -0.5)}
 """w of classifier-free sampling that table 2 tries; 0 for methods that are not here."""
 
 FIGURES = {
     "error": "guide error",
+    **{f"error_{fold}": f"in {fold}" for fold in FOLDS},
     "lon": "lon acc",
     "lat": "lat acc",
     "obstacle": "obstacle",
@@ -62,6 +70,38 @@ TITLES = {
 }
 
 
+@dataclass(frozen=True)
+class Fold:
+    """A place, and a network that has seen nobody there.
+
+    Attributes:
+        name: Of the place.
+        trials: Its rollouts.
+        trace: The network.
+        facts: How it was trained.
+    """
+
+    name: str
+    trials: list[Rollout]
+    trace: Trace
+    facts: Mapping[str, Any]
+
+    @property
+    def has_groups(self) -> bool:
+        """Whether anybody walks with somebody."""
+        return any((trial.groups >= 0).any() for trial in self.trials)
+
+    def with_weights(self, path: Path) -> "Fold":
+        """The same with another network.
+
+        Raises:
+            WeightsError: When there is none, or it has seen people of the place.
+        """
+        trace, facts = load_model(path)
+        check_left_out(path, facts, self.name)
+        return dataclasses.replace(self, trace=trace, facts=facts)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what tables 2 and 8 need to `eval trace`."""
     parser.add_argument(
@@ -71,25 +111,64 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="made by `data eth-ucy`, for tables 2 and 8",
     )
     parser.add_argument(
-        "--folds", nargs="+", default=list(FOLDS), help="of tables 2 and 8 (default: %(default)s)"
+        "--folds",
+        nargs="+",
+        choices=sorted(LEFT_OUT),
+        default=list(FOLDS),
+        help="of tables 2 and 8: each with the weights that have seen nobody there, or with --weights "
+        f"(default: {' '.join(FOLDS)})",
     )
     parser.add_argument("--vae", type=Path, default=VAE_WEIGHTS, help="weights of the VAE baseline")
 
 
-def read_trials(args: argparse.Namespace, config: TraceConfig) -> list[Rollout]:
-    """The rollouts of a split of the folds, `--scenes` of each, evenly spread.
+def read_folds(args: argparse.Namespace) -> list[Fold]:
+    """The rollouts of a split of each fold, `--scenes` of each, evenly spread, with their networks.
 
     Raises:
         CrowdFileError: When a fold is not there or its scenes are too short.
+        WeightsError: When a fold has no network, or one that has seen people there.
     """
-    trials = []
+    folds = []
     limit = QUICK_ROLLOUTS if args.quick else args.scenes
-    for fold in args.folds:
-        kind = "maps" if fold in FOLDS else "open"
-        found = rollouts(Crowds.load(args.recorded / fold / f"{kind}.npz"), config, args.split)
+    for name in args.folds:
+        path = args.weights or shipped(name)
+        trace, facts = load_model(path)
+        check_left_out(path, facts, name)
+        kind = "maps" if all(RECORDINGS[place].scene for place in LEFT_OUT[name]) else "open"
+        crowds = Crowds.load(args.recorded / name / f"{kind}.npz")
+        found = rollouts(crowds, trace.config, args.split)
+        if not found:
+            raise CrowdFileError(f"{args.recorded / name}: nobody in it is seen for ten seconds")
         kept = np.linspace(0, len(found) - 1, min(limit or len(found), len(found))).round().astype(int)
-        trials += [found[i] for i in kept]
-    return trials
+        folds.append(Fold(name, [found[i] for i in kept], trace, facts))
+    return folds
+
+
+def shipped(fold: str) -> Path:
+    """Weights that have seen nobody of a fold.
+
+    Raises:
+        WeightsError: When there are none.
+    """
+    for name in FOLDS:
+        if set(LEFT_OUT[fold]) <= set(LEFT_OUT[name]):
+            return DISTILLED.with_name(f"trace_compact_mixed_{name}.safetensors")
+    raise WeightsError(f"no weights are shipped that have seen nobody of {fold}: --weights must name some")
+
+
+def check_left_out(path: Path, facts: Mapping[str, Any], fold: str) -> None:
+    """Nobody of a fold may have been seen in training.
+
+    Raises:
+        WeightsError: Says which training set tells so.
+    """
+    for source in facts.get("data", []):
+        seen = re.fullmatch(r"eth-ucy-(\w+)-(?:maps|open)\b.*", str(source["name"]))
+        if seen and not set(LEFT_OUT[fold]) <= set(LEFT_OUT.get(seen[1], ())):
+            raise WeightsError(
+                f"{path}: trained on {source['name']}, which holds people of {fold}; table 2 wants weights that have "
+                "seen nobody there"
+            )
 
 
 def trained_on(facts: Mapping[str, Any]) -> str:
@@ -98,13 +177,14 @@ def trained_on(facts: Mapping[str, Any]) -> str:
     return ", ".join(name.removeprefix("orca-") for name in names)
 
 
-def source(
-    trace: Trace, facts: Mapping[str, Any], trials: Sequence[Rollout], args: argparse.Namespace
-) -> str:
+def source(folds: Sequence[Fold], split: str) -> str:
     """What stands above a table: the weights and the rollouts."""
-    model = f"{trace.config.name}, step {facts.get('step')}, trained on {trained_on(facts)}"
-    where = f"{len(trials)} {args.split} rollouts of {', '.join(args.folds)}"
-    return f"{model} (a fold bears the name of the place it leaves out); {where}"
+    parts = [
+        f"{len(fold.trials)} {split} rollouts of {fold.name} by {fold.trace.config.name}, "
+        f"step {fold.facts.get('step')}, trained on {trained_on(fold.facts)}"
+        for fold in folds
+    ]
+    return f"{'; '.join(parts)} (a fold bears the name of the place it leaves out)"
 
 
 def figures(report: LoopReport) -> Row:
@@ -120,71 +200,95 @@ def figures(report: LoopReport) -> Row:
     }
 
 
-def walked(planner: TracePlanner, trials: Sequence[Rollout], guide: str) -> LoopReport:
-    """`evaluate_loop`, with progress on a terminal."""
-    progress = progress_line("rollout")
-    return evaluate_loop(planner, trials, guide, clock=time.process_time, progress=progress)
+def pooled(tallies: Mapping[str, LoopTally]) -> Row:
+    """Figures of all people of all folds, and of each fold with its name behind the key."""
+    together = LoopTally(next(iter(tallies.values())).dt)
+    apart: Row = {}
+    for name, tally in tallies.items():
+        together.extend(tally)
+        apart |= {f"{key}_{name}": value for key, value in figures(tally.report()).items()}
+    return figures(together.report()) | apart
 
 
-def planners(
-    trace: Trace, method: str, guide: str, args: argparse.Namespace
-) -> Iterator[tuple[float | None, TracePlanner]]:
-    """The planners of a method with their w; none where its weights are not there."""
-    if method == "vae":
-        if args.vae.is_file():
-            yield None, VaePlanner(load_vae(args.vae)[0], samples=SAMPLES, iterations=VAE_ITERATIONS)
-        return
+def walked(planned: Mapping[str, TracePlanner], folds: Sequence[Fold], guide: str) -> Row:
+    """Figures of a planner for each fold, with progress on a terminal."""
+    return pooled(
+        {
+            fold.name: walk_all(
+                planned[fold.name],
+                fold.trials,
+                guide,
+                clock=time.process_time,
+                progress=progress_line(f"rollout of {fold.name}"),
+            )
+            for fold in folds
+        }
+    )
+
+
+def make_planner(trace: Trace, method: str, guide: str, weight: float) -> TracePlanner:
+    """The planner of a method, guided gently."""
     sampling, guidance = METHODS[method]
     if method != "filter":
-        guidance = dataclasses.replace(guidance, strength=STRENGTH[guide])
-    for weight in WEIGHTS.get(method, (0.0,)):
-        yield weight, TracePlanner(trace, dataclasses.replace(sampling, context_weight=weight), guidance)
+        guidance = dataclasses.replace(
+            guidance, strength=STRENGTH, inner_steps=INNER_STEPS.get(guide, guidance.inner_steps)
+        )
+    return TracePlanner(trace, dataclasses.replace(sampling, context_weight=weight), guidance)
 
 
-def table_2(trace: Trace, trials: Sequence[Rollout], args: argparse.Namespace) -> Iterator[Row]:
-    """Guides by methods, after what was recorded."""
+def table_2(folds: Sequence[Fold], args: argparse.Namespace) -> Iterator[Row]:
+    """Guides by methods, after what was recorded; then the networks of `--others`, guided as shipped."""
+    others = [[fold.with_weights(path) for fold in folds] for path in args.others]
     for guide in GUIDES:
         yield from (row for row in paper.TABLE_2 if row["guide"] == guide)
-        yield {"guide": guide, "method": "recorded", **figures(recorded(trials, guide))}
-        for method, weight, planner in compared(trace, guide, args):
-            report = walked(planner, trials, guide)
-            labels: Row = {"guide": guide, "method": method, "config": planner.config.name, "w": weight}
-            yield labels | figures(report)
+        if guide == "groups" and not all(fold.has_groups for fold in folds):
+            continue
+        truth = pooled({fold.name: recorded(fold.trials, guide) for fold in folds})
+        yield {"guide": guide, "method": "recorded", **truth}
+        for method in args.methods:
+            if method == "vae" and args.vae.is_file():
+                yield vae_row(folds, guide, args.vae)
+            elif method in METHODS:
+                for weight in CONTEXT_WEIGHTS.get(method, (0.0,)):
+                    yield table_2_row(folds, method, guide, weight, method)
+        for other in others:
+            name = f"direct, trained on {trained_on(other[0].facts)}"
+            yield table_2_row(other, "direct", guide, 0.0, name)
 
 
-def compared(
-    trace: Trace, guide: str, args: argparse.Namespace
-) -> Iterator[tuple[str, float | None, TracePlanner]]:
-    """Methods with their w and planners; then those of `--others`, guided as shipped."""
-    for method in args.methods:
-        for weight, planner in planners(trace, method, guide, args):
-            yield method, weight, planner
-    for path in args.others:
-        other, facts = load_model(path)
-        weight, planner = next(planners(other, "direct", guide, args))
-        yield f"direct, trained on {trained_on(facts)}", weight, planner
+def vae_row(folds: Sequence[Fold], guide: str, path: Path) -> Row:
+    """The row of the VAE, which has seen synthetic crowds only."""
+    vae, _ = load_vae(path)
+    planner = VaePlanner(vae, samples=SAMPLES, iterations=VAE_ITERATIONS)
+    labels: Row = {"guide": guide, "method": "vae", "config": vae.config.name, "w": None}
+    return labels | walked({fold.name: planner for fold in folds}, folds, guide)
 
 
-def table_8(trace: Trace, trials: Sequence[Rollout], args: argparse.Namespace) -> Iterator[Row]:
+def table_2_row(folds: Sequence[Fold], method: str, guide: str, weight: float, name: str) -> Row:
+    """A row of table 2, by the networks of the folds."""
+    planned = {fold.name: make_planner(fold.trace, method, guide, weight) for fold in folds}
+    labels: Row = {"guide": guide, "method": name, "config": folds[0].trace.config.name, "w": weight}
+    return labels | walked(planned, folds, guide)
+
+
+def table_8(folds: Sequence[Fold], args: argparse.Namespace) -> Iterator[Row]:
     """The weight of classifier-free sampling."""
-    sampling, guidance = METHODS["direct"]
-    guidance = dataclasses.replace(guidance, strength=STRENGTH["perturbed"])
     for row in paper.TABLE_8:
         yield row
-        planner = TracePlanner(
-            trace, dataclasses.replace(sampling, context_weight=float(row["w"] or 0)), guidance
-        )
-        report = walked(planner, trials, "perturbed")
-        yield {"w": row["w"], "method": "direct", "config": trace.config.name, **figures(report)}
+        weight = float(row["w"] or 0)
+        planned = {fold.name: make_planner(fold.trace, "direct", "perturbed", weight) for fold in folds}
+        labels: Row = {"w": row["w"], "method": "direct", "config": folds[0].trace.config.name}
+        yield labels | walked(planned, folds, "perturbed")
 
 
-def picture(trace: Trace, trials: Sequence[Rollout], args: argparse.Namespace) -> Path:
+def picture(fold: Fold, folder: Path) -> Path:
     """Perturbed waypoints with w = 0 and -0.5, and groups."""
-    shown: dict[str, tuple[str, TracePlanner]] = {}
-    for guide, title in (("perturbed", "perturbed waypoints"), ("groups", "groups")):
-        for weight, planner in planners(trace, "direct", guide, args):
-            shown[f"{title}, w = {weight:g}"] = guide, planner
-    return draw_rollouts(args.pictures, shown, trials)
+    shown = {
+        f"{title}, w = {weight:g}": (guide, make_planner(fold.trace, "direct", guide, weight))
+        for guide, title in (("perturbed", "perturbed waypoints"), ("groups", "groups"))
+        for weight in CONTEXT_WEIGHTS["direct"]
+    }
+    return draw_rollouts(folder, shown, fold.trials)
 
 
 TABLES = {"2": table_2, "8": table_8}

@@ -63,29 +63,32 @@ class TrialScene:
 
 
 class TrialScenes:
-    """The test split, every scene once: three seconds of history, then five to predict."""
+    """The test split, every scene with somebody in it once: three seconds of history, then five to predict."""
 
     def __init__(self, crowds: Crowds, config: TraceConfig, split: str = "test", limit: int | None = None):
         self.dt = crowds.dt
         self._windows = CrowdWindows(crowds, split, config)
-        self._rows = np.flatnonzero(crowds.split == SPLITS.index(split))[:limit]
         self._crowds, self._config = crowds, config
+        rows = np.flatnonzero(crowds.split == SPLITS.index(split))[:limit]
+        self._scenes = [(scene, int(row)) for scene, row in enumerate(rows) if len(self._people(scene))]
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return len(self._scenes)
+
+    def _people(self, scene: int) -> torch.Tensor:
+        """Who is there from now to the end."""
+        present, now = self._windows.present[scene], self._config.history - 1
+        return (present[:, now] & present[:, now + self._config.plan]).nonzero()[:, 0]
 
     def __iter__(self) -> Iterator[TrialScene]:
         windows, now = self._windows, self._config.history - 1
-        for scene, row in enumerate(self._rows):
-            stay = windows.present[scene, :, now] & windows.present[scene, :, now + self._config.plan]
-            people = stay.nonzero()[:, 0]
-            if not len(people):
-                continue
+        for scene, row in self._scenes:
+            people = self._people(scene)
             states = windows.states[scene, people, : now + 1]
             truth = windows.observed[scene, people, now : now + self._config.plan + 1].numpy()
             size = torch.full((len(people), 2), 2 * windows.radius)
             maps = windows.maps(torch.tensor([scene]))
-            yield TrialScene(states, size, truth, maps, self._crowds.polygons_of(int(row)), windows.radius)
+            yield TrialScene(states, size, truth, maps, self._crowds.polygons_of(row), windows.radius)
 
 
 @dataclass

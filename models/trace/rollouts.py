@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -120,15 +120,17 @@ class LoopPlanner(Protocol):
         maps: SceneMaps | None = None,
         objectives: Sequence[Objective] = (),
         present: torch.Tensor | None = None,
-        *,
+        previous: Any = None,
+        elapsed: int = 10,
         seed: int = 0,
+        ids: Sequence[int] | None = None,
     ) -> Futures:
         """See `TracePlanner.plan`."""
         ...
 
 
 def walk(planner: LoopPlanner, rollout: Rollout, wishes: Wishes, seed: int = 0) -> torch.Tensor:
-    """Walk a rollout, with a new plan every second.
+    """Walk a rollout, with a new plan every second that begins with the one before, as in a running graph.
 
     Args:
         planner: With its sampling and guidance.
@@ -142,6 +144,7 @@ def walk(planner: LoopPlanner, rollout: Rollout, wishes: Wishes, seed: int = 0) 
     states, present = rollout.states.clone(), rollout.present.clone()
     walkers, step, history = rollout.walkers, round(1 / rollout.dt), planner.config.history
     present[:walkers, rollout.now :] = True
+    plan: Futures | None = None
     for number in range(SECONDS):
         now = rollout.now + number * step
         around = present[:, now].nonzero()[:, 0]  # walkers are always there, and first
@@ -154,7 +157,10 @@ def walk(planner: LoopPlanner, rollout: Rollout, wishes: Wishes, seed: int = 0) 
             rollout.maps,
             wishes(len(around), path),
             present=present[around, past],
+            previous=plan,
+            elapsed=step,
             seed=1000 * seed + number,
+            ids=around.tolist(),
         )
         rows = np.arange(walkers), plan.chosen[:walkers]
         ahead = [plan.positions[rows], plan.headings[rows][..., None], plan.speeds[rows][..., None]]

@@ -22,7 +22,7 @@ from footfall.models.trace.orca_scenes import CrowdSpec, simulate_crowds
 from footfall.models.trace.planner import SHIPPED, Sampling, TracePlanner
 from footfall.models.trace.weights import save_model
 from footfall.tools import eval_trace
-from footfall.tools.eval_trace import quality_ratio
+from footfall.tools.eval_trace import measures_ratio
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -51,6 +51,17 @@ def test_truth_itself_has_no_error(crowds):
     assert report.obstacle == report.agent == 0
     assert report.waypoint == report.ade == report.fde == 0
     assert set(report.emd.values()) == {0.0}
+
+
+def test_scenes_without_anybody_do_not_count(crowds, tmp_path, capsys):
+    positions = crowds.positions.copy()
+    positions[2, :, 40:] = np.nan  # all leave
+    left = replace(crowds, positions=positions, split=np.full(10, 2, np.uint8))
+    scenes = TrialScenes(left, COMPACT)
+    assert len(scenes) == len(list(scenes)) == 9
+    left.save(tmp_path / "maps.npz")
+    assert run("--data", str(tmp_path / "maps.npz"), "--scenes", "0") == 2
+    assert "no test scene with anybody" in capsys.readouterr().err
 
 
 def test_walking_into_the_wall_is_counted(crowds):
@@ -108,20 +119,20 @@ def test_slow_rows_take_all_steps_but_not_in_haste(crowds, tmp_path, capsys, mon
         assert [(row["method"], row["sampler"]) for row in ours] == expected
         ratios = [row.get("ratio") for row in ours]
         assert ratios[:-1] == [None] * (len(ours) - 1)
-        assert ratios[-1] == (None if flags else quality_ratio(ours[-1], ours[-2]))
+        assert ratios[-1] == (None if flags else measures_ratio(ours[-1], ours[-2]))
 
 
 def test_quality_is_the_mean_ratio_of_all_measures():
     slow: dict[str, Any] = {"guide": "all", "error": 0.019, "obstacle": 0.0, "agent": 0.0}
     slow |= {"emd_vel": 0.019, "emd_lon": 0.009, "emd_lat": 0.009}
     fast = slow | {"error": 0.004, "emd_vel": 0.079}  # with a thousandth added a quarter, and four times
-    assert quality_ratio(slow, slow) == 1.0 == pytest.approx(quality_ratio(fast, slow))
+    assert measures_ratio(slow, slow) == 1.0 == pytest.approx(measures_ratio(fast, slow))
     for guide, error in (
         ("none", None),
         ("obstacle", 0.0),
     ):  # five measures: the error is none, or one of them
         slow |= {"guide": guide, "error": error}
-        assert quality_ratio(slow | {"emd_lon": 0.319}, slow) == pytest.approx(2.0)  # one is 32 times
+        assert measures_ratio(slow | {"emd_lon": 0.319}, slow) == pytest.approx(2.0)  # one is 32 times
 
 
 def test_ablations_stand_beside_ours(crowds, tmp_path, capsys, monkeypatch):

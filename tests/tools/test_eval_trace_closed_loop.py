@@ -11,7 +11,7 @@ from footfall.models.trace.config import COMPACT
 from footfall.models.trace.network import Trace
 from footfall.models.trace.recordings import Recording, pack_recordings
 from footfall.models.trace.vae import TraceVae
-from footfall.models.trace.weights import save_model
+from footfall.models.trace.weights import WeightsError, load_model, save_model
 from footfall.tools import cli
 from footfall.tools import eval_trace_closed_loop as closed_loop
 
@@ -20,14 +20,17 @@ from footfall.tools import eval_trace_closed_loop as closed_loop
 def root(tmp_path_factory):
     root = tmp_path_factory.mktemp("closed_loop")
     t = np.arange(0, 20.4, 0.4)
-    tracks = [np.column_stack([t, 1.2 * t, np.full_like(t, y)]) for y in (0.0, 1.0)]
     wall = np.array([[0.0, 3], [30, 3], [30, 4], [0, 4]])
-    whole = Recording("street", tracks, [(0.0, 20.0, "test")], [wall])
-    pack_recordings("street", [whole], 0.25, {}).save(root / "hotel" / "maps.npz")
+    for fold, people in (("hotel", (0.0, 1.0)), ("eth", (-1.0,))):
+        tracks = [np.column_stack([t, 1.2 * t, np.full_like(t, y)]) for y in people]
+        whole = Recording("street", tracks, [(0.0, 20.0, "test")], [wall])
+        pack_recordings("street", [whole], 0.25, {}).save(root / fold / "maps.npz")
     torch.manual_seed(0)
-    facts = {"step": 0, "data": [{"name": "street", "scenes": 1}, {"name": "start"}]}
-    for name, network in (("trace", Trace(COMPACT)), ("vae", TraceVae(COMPACT))):
+    seen = {"trace": "street", "vae": "street", "mixed_eth": "eth-ucy-eth-maps"}
+    for name, place in seen.items():
+        network = TraceVae(COMPACT) if name == "vae" else Trace(COMPACT)
         network.trajectory_std[4:] = 0.1
+        facts = {"step": 0, "data": [{"name": place, "scenes": 1}, {"name": "start"}]}
         save_model(root / f"{name}.safetensors", network, facts)
     return root
 
@@ -46,18 +49,78 @@ def table(root, number, *more):
 
 
 def test_table_2_has_the_papers_the_recorded_and_our_rows(root, capsys):
-    assert table(root, "2", "--methods", "direct", "vae", "--others", str(root / "trace.safetensors")) == 0
+    assert (
+        table(
+            root,
+            "2",
+            "--methods",
+            "direct",
+            "direct_slow",
+            "vae",
+            "--others",
+            str(root / "trace.safetensors"),
+        )
+        == 0
+    )
     rows = json.loads(capsys.readouterr().out)["rows"]
     for guide in ("waypoint", "perturbed", "groups"):
         methods = [row["method"] for row in rows if row["guide"] == guide]
         assert methods[:4] == ["paper: VAE", "paper: TRACE, w 0", "paper: TRACE, w -0.5", "recorded"]
         assert methods[4:] == ["direct", "direct", "vae", "direct, trained on street"]
+    assert {row["method"] for row in rows if row["guide"] == "urgent"} == {"recorded", *methods[4:]}
     recorded = {row["guide"]: row for row in rows if row["method"] == "recorded"}
     assert recorded["waypoint"]["error"] == 0.0 and recorded["waypoint"]["lon"] < 0.01
     assert recorded["groups"]["error"] == pytest.approx(0.5, abs=0.01)  # they walk 1 m apart
     ours = [row for row in rows if row["method"] == "direct"]
     assert [row["w"] for row in ours[:2]] == [0.0, -0.5]
     assert all(row["error"] < 3 and row["seconds"] > 0 for row in ours if row["guide"] == "waypoint")
+    assert all(row["error"] == row["error_hotel"] for row in ours)
+
+
+def test_folds_are_pooled_by_people(root, capsys, monkeypatch):
+    monkeypatch.setattr(closed_loop, "GUIDES", ("waypoint",))
+    assert table(root, "2", "--folds", "eth", "hotel", "--methods", "direct") == 0
+    for row in json.loads(capsys.readouterr().out)["rows"][3:]:
+        for key in ("error", "obstacle", "lon"):  # one person there, two here
+            assert row[key] == pytest.approx((row[f"{key}_eth"] + 2 * row[f"{key}_hotel"]) / 3)
+        assert row["agent"] == (row["agent_eth"] + row["agent_hotel"]) / 2
+
+
+@pytest.mark.parametrize(
+    ("seen", "fold", "fits"),
+    [
+        ("orca-maps", "eth", True),
+        ("eth-ucy-eth-maps", "eth", True),
+        ("eth-ucy-eth-open", "hotel", False),
+        ("eth-ucy-zara-maps", "zara1", True),
+        ("eth-ucy-zara2-maps", "zara1", False),
+        ("eth-ucy-zara1-maps", "zara", False),
+        ("eth-ucy-zara-maps-faster", "eth", False),
+    ],
+)
+def test_a_network_is_not_tested_where_it_was_trained(seen, fold, fits, tmp_path):
+    facts = {"data": [{"name": seen, "scenes": 1}]}
+    if fits:
+        closed_loop.check_left_out(tmp_path, facts, fold)
+    else:
+        with pytest.raises(WeightsError, match=f"trained on {seen}, which holds people of {fold}"):
+            closed_loop.check_left_out(tmp_path, facts, fold)
+
+
+def test_a_network_that_has_seen_the_place_is_refused(root, capsys):
+    assert table(root, "2", "--weights", str(root / "mixed_eth.safetensors")) == 2
+    assert "holds people of hotel" in capsys.readouterr().err
+    assert table(root, "2", "--others", str(root / "mixed_eth.safetensors")) == 2
+    assert "holds people of hotel" in capsys.readouterr().err
+
+
+def test_every_fold_with_a_map_has_weights_that_have_seen_nobody_there(capsys):
+    for fold in ("eth", "hotel", "zara", "zara1", "zara2"):
+        path = closed_loop.shipped(fold)
+        closed_loop.check_left_out(path, load_model(path)[1], fold)
+    arguments = ["eval", "trace", "--table", "2", "--folds", "univ"]
+    assert cli.main(arguments) == 2
+    assert "that have seen nobody of univ: --weights" in capsys.readouterr().err
 
 
 def test_table_8_sweeps_the_context_and_is_written(root, tmp_path, capsys):
@@ -70,7 +133,7 @@ def test_table_8_sweeps_the_context_and_is_written(root, tmp_path, capsys):
 
 def test_a_fold_that_is_not_there_is_named(root, capsys):
     assert table(root, "2", "--folds", "zara1") == 2
-    assert "zara1" in capsys.readouterr().err
+    assert "zara1/maps.npz" in capsys.readouterr().err
 
 
 def test_table_2_has_a_picture(root, tmp_path, capsys):

@@ -12,8 +12,8 @@ from footfall.models.trace.closed_loop import (
     ARRIVED,
     PERTURBATION,
     TASKS,
-    evaluate_loop,
     recorded,
+    walk_all,
 )
 from footfall.models.trace.config import COMPACT
 from footfall.models.trace.crowd_file import CrowdFileError
@@ -52,9 +52,12 @@ class StraightOn:
     def __init__(self):
         self.calls = []
 
-    def plan(self, states, size, maps=None, objectives=(), present=None, seed=0):
+    def plan(
+        self, states, size, maps=None, objectives=(), present=None, previous=None, elapsed=0, seed=0, ids=()
+    ):
         assert maps is not None and present is not None and bool(present[:, -1].all())
-        self.calls.append(SimpleNamespace(states=states, objectives=objectives, seed=seed))
+        asked = {"states": states, "objectives": objectives, "seed": seed, "ids": ids}
+        self.calls.append(SimpleNamespace(**asked, previous=previous, elapsed=elapsed))
         now, time = states[:, -1].numpy(), 0.1 * np.arange(1, 51)
         forward = np.stack([np.cos(now[:, 2]), np.sin(now[:, 2])], -1) * now[:, 3:]
         positions = now[:, None, :2] + time[:, None] * forward[:, None]
@@ -84,6 +87,15 @@ def test_who_stays_walks_and_the_others_are_replayed(rollout):
     assert len({call.seed for call in planner.calls}) == 10
 
 
+def test_a_plan_begins_with_the_one_before(rollout):
+    planner = StraightOn()
+    walk(planner, rollout, lambda people, path: [])
+    assert planner.calls[0].previous is None and planner.calls[3].ids == [0, 1, 2, 3, 4]
+    assert planner.calls[6].ids == [0, 1, 2, 4]  # who left
+    for call in planner.calls[1:]:
+        assert call.elapsed == 10 and isinstance(call.previous, Futures)
+
+
 def test_history_is_what_was_walked(rollout):
     class Left(StraightOn):
         def plan(self, *args, **kwargs):
@@ -101,8 +113,8 @@ def test_history_is_what_was_walked(rollout):
 
 
 def test_straight_on_reaches_the_waypoint_and_nobody_hurries(rollout):
-    report = evaluate_loop(StraightOn(), [rollout], "waypoint")
-    truth = recorded([rollout], "waypoint")
+    report = walk_all(StraightOn(), [rollout], "waypoint").report()
+    truth = recorded([rollout], "waypoint").report()
     assert report.error < 0.05 and truth.error == 0.0
     assert report.longitudinal < 0.02 and report.lateral < 0.02 and report.emd_speed < 0.06
     assert report.obstacle == truth.obstacle == 0.0 and report.agent == 0.0
@@ -110,20 +122,27 @@ def test_straight_on_reaches_the_waypoint_and_nobody_hurries(rollout):
 
 def test_obstacles_and_people_count():
     (rollout,) = rollouts(street(obstacles=[WALL - (9.0, 4.0)]), COMPACT)  # now at x 11-15, y 1-4
-    report = evaluate_loop(StraightOn(), [rollout], "none")
+    report = walk_all(StraightOn(), [rollout], "none").report()
     pair_inside = (4.0 + 2 * 0.25) / (SPEED * 0.1) / 101  # beside the wall's edge at y = 1
     assert report.obstacle == pytest.approx((pair_inside + 0.0) / 3, abs=0.06)
     (close,) = rollouts(street(tracks=[track(0.0), track(0.4), track(5.0)]), COMPACT)
-    assert evaluate_loop(StraightOn(), [close], "none").agent == pytest.approx(2 / 3)
+    assert walk_all(StraightOn(), [close], "none").report().agent == pytest.approx(2 / 3)
 
 
 def test_waypoints_are_asked_for_until_they_are_passed(rollout):
     planner = StraightOn()
-    evaluate_loop(planner, [rollout], "waypoint")
+    walk_all(planner, [rollout], "waypoint")
     goals = [call.objectives[0].parameters["goal"] for call in planner.calls]
     assert np.allclose(goals[0][:3], rollout.observed[:3, 120]) and goals[0][3:].isnan().all()
     assert not goals[-2][:3].isnan().any() and goals[-1][:3].isnan().all()
     assert ARRIVED < 0.37
+
+
+def test_urgent_waypoints_ask_for_the_whole_preferred_speed(rollout):
+    draw = lambda task: TASKS[task](rollout, np.random.default_rng(0)).wishes(5, np.zeros((3, 1, 2)) - 99)[0]  # noqa: E731
+    urgent, calm = draw("urgent").parameters, draw("waypoint").parameters
+    assert (urgent.pop("urgency"), calm.pop("urgency")) == (1.0, 0.7)
+    assert torch.equal(urgent.pop("goal").nan_to_num(), calm.pop("goal").nan_to_num()) and urgent == calm
 
 
 def test_perturbed_waypoints_are_two_metres_off_and_always_the_same(rollout):
@@ -141,10 +160,10 @@ def test_perturbed_waypoints_are_two_metres_off_and_always_the_same(rollout):
 def test_groups_are_near_and_go_the_same_way(rollout):
     groups = rollout.groups
     assert groups[0] == groups[1] >= 0 and groups[2] == -1  # beside them, but the other way
-    report = evaluate_loop(StraightOn(), [rollout], "groups")
+    report = walk_all(StraightOn(), [rollout], "groups").report()
     assert report.error == pytest.approx(0.5, abs=0.02)  # they keep 1 m, not 1.5 m
     planner = StraightOn()
-    evaluate_loop(planner, [rollout], "groups")
+    walk_all(planner, [rollout], "groups")
     assert planner.calls[0].objectives[0].parameters["group"].tolist() == [groups[0], groups[1], -1, -1]
 
 
