@@ -2,7 +2,6 @@
 
 import argparse
 import dataclasses
-import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -97,8 +96,7 @@ class Fold:
         Raises:
             WeightsError: When there is none, or it has seen people of the place.
         """
-        trace, facts = load_model(path)
-        check_left_out(path, facts, self.name)
+        trace, facts = load_unseen(path, self.name)
         return dataclasses.replace(self, trace=trace, facts=facts)
 
 
@@ -131,9 +129,7 @@ def read_folds(args: argparse.Namespace) -> list[Fold]:
     folds = []
     limit = QUICK_ROLLOUTS if args.quick else args.scenes
     for name in args.folds:
-        path = args.weights or shipped(name)
-        trace, facts = load_model(path)
-        check_left_out(path, facts, name)
+        trace, facts = load_unseen(args.weights or shipped(name), name)
         kind = "maps" if all(RECORDINGS[place].scene for place in LEFT_OUT[name]) else "open"
         crowds = Crowds.load(args.recorded / name / f"{kind}.npz")
         found = rollouts(crowds, trace.config, args.split)
@@ -156,15 +152,26 @@ def shipped(fold: str) -> Path:
     raise WeightsError(f"no weights are shipped that have seen nobody of {fold}: --weights must name some")
 
 
+def load_unseen(path: Path, fold: str) -> tuple[Trace, dict[str, Any]]:
+    """A network that has seen nobody of a fold, and its facts.
+
+    Raises:
+        WeightsError: When there is none, or it has.
+    """
+    trace, facts = load_model(path)
+    check_left_out(path, facts, fold)
+    return trace, facts
+
+
 def check_left_out(path: Path, facts: Mapping[str, Any], fold: str) -> None:
-    """Nobody of a fold may have been seen in training.
+    """Nobody of a fold may have been seen in training, nor in that of the weights it started from.
 
     Raises:
         WeightsError: Says which training set tells so.
     """
     for source in facts.get("data", []):
-        seen = re.fullmatch(r"eth-ucy-(\w+)-(?:maps|open)\b.*", str(source["name"]))
-        if seen and not set(LEFT_OUT[fold]) <= set(LEFT_OUT.get(seen[1], ())):
+        check_left_out(path, source, fold)
+        if "fold" in source and not set(LEFT_OUT[fold]) <= set(LEFT_OUT.get(source["fold"], ())):
             raise WeightsError(
                 f"{path}: trained on {source['name']}, which holds people of {fold}; table 2 wants weights that have "
                 "seen nobody there"
@@ -236,6 +243,24 @@ def make_planner(trace: Trace, method: str, guide: str, weight: float) -> TraceP
     return TracePlanner(trace, dataclasses.replace(sampling, context_weight=weight), guidance)
 
 
+def planners(folds: Sequence[Fold], method: str, guide: str, weight: float) -> dict[str, TracePlanner]:
+    """The planner of a method for each fold, with its network."""
+    return {fold.name: make_planner(fold.trace, method, guide, weight) for fold in folds}
+
+
+def compared(
+    folds: Sequence[Fold], guide: str, args: argparse.Namespace
+) -> Iterator[tuple[str, float | None, dict[str, TracePlanner]]]:
+    """Methods with their w and planners."""
+    for method in args.methods:
+        if method == "vae" and args.vae.is_file():
+            vae = VaePlanner(load_vae(args.vae)[0], samples=SAMPLES, iterations=VAE_ITERATIONS)
+            yield method, None, {fold.name: vae for fold in folds}
+        elif method in METHODS:
+            for weight in CONTEXT_WEIGHTS.get(method, (0.0,)):
+                yield method, weight, planners(folds, method, guide, weight)
+
+
 def table_2(folds: Sequence[Fold], args: argparse.Namespace) -> Iterator[Row]:
     """Guides by methods, after what was recorded; then the networks of `--others`, guided as shipped."""
     others = [[fold.with_weights(path) for fold in folds] for path in args.others]
@@ -245,38 +270,21 @@ def table_2(folds: Sequence[Fold], args: argparse.Namespace) -> Iterator[Row]:
             continue
         truth = pooled({fold.name: recorded(fold.trials, guide) for fold in folds})
         yield {"guide": guide, "method": "recorded", **truth}
-        for method in args.methods:
-            if method == "vae" and args.vae.is_file():
-                yield vae_row(folds, guide, args.vae)
-            elif method in METHODS:
-                for weight in CONTEXT_WEIGHTS.get(method, (0.0,)):
-                    yield table_2_row(folds, method, guide, weight, method)
+        rows = list(compared(folds, guide, args))
         for other in others:
             name = f"direct, trained on {trained_on(other[0].facts)}"
-            yield table_2_row(other, "direct", guide, 0.0, name)
-
-
-def vae_row(folds: Sequence[Fold], guide: str, path: Path) -> Row:
-    """The row of the VAE, which has seen synthetic crowds only."""
-    vae, _ = load_vae(path)
-    planner = VaePlanner(vae, samples=SAMPLES, iterations=VAE_ITERATIONS)
-    labels: Row = {"guide": guide, "method": "vae", "config": vae.config.name, "w": None}
-    return labels | walked({fold.name: planner for fold in folds}, folds, guide)
-
-
-def table_2_row(folds: Sequence[Fold], method: str, guide: str, weight: float, name: str) -> Row:
-    """A row of table 2, by the networks of the folds."""
-    planned = {fold.name: make_planner(fold.trace, method, guide, weight) for fold in folds}
-    labels: Row = {"guide": guide, "method": name, "config": folds[0].trace.config.name, "w": weight}
-    return labels | walked(planned, folds, guide)
+            rows.append((name, 0.0, planners(other, "direct", guide, 0.0)))
+        for method, weight, planned in rows:
+            config = planned[folds[0].name].config.name
+            labels: Row = {"guide": guide, "method": method, "config": config, "w": weight}
+            yield labels | walked(planned, folds, guide)
 
 
 def table_8(folds: Sequence[Fold], args: argparse.Namespace) -> Iterator[Row]:
     """The weight of classifier-free sampling."""
     for row in paper.TABLE_8:
         yield row
-        weight = float(row["w"] or 0)
-        planned = {fold.name: make_planner(fold.trace, "direct", "perturbed", weight) for fold in folds}
+        planned = planners(folds, "direct", "perturbed", float(row["w"] or 0))
         labels: Row = {"w": row["w"], "method": "direct", "config": folds[0].trace.config.name}
         yield labels | walked(planned, folds, "perturbed")
 
