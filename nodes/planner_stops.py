@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from ..models.crowd.planning import PLAN_DT
-from ..models.trace.planner import TraceFutures
 from ..models.trace.scene_map import SceneMaps
+from ..models.trace.scene_planner import TraceFutures
 
 STILL = 0.25
 """Who moves no further than this, for `STANDS` at least, stands [m]."""

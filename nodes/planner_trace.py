@@ -22,12 +22,12 @@ from ..models.trace.planner import (
     FEW,
     SHIPPED,
     THOROUGH,
-    TraceFutures,
     TracePlanner,
     default_sampling,
     weights_for,
 )
 from ..models.trace.scene_map import SceneMaps
+from ..models.trace.scene_planner import TraceFutures
 from ..models.trace.weights import WeightsError, load_model
 from .planner_moment import Moment, place_of
 from .planner_objectives import Surroundings, facing_the_way, objectives_of, timed_way

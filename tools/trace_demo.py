@@ -14,8 +14,9 @@ import torch
 
 from ..models.trace.guidance_losses import distance_to
 from ..models.trace.objectives import Future, Objective
-from ..models.trace.planner import FEW, TraceFutures, TracePlanner
+from ..models.trace.planner import FEW, TracePlanner
 from ..models.trace.scene_map import SceneMaps
+from ..models.trace.scene_planner import TraceFutures
 
 SPEED = 1.2  # m/s
 COLOURS = ("#1b6ca8", "#c4501b", "#4c8c2b", "#7a3f9d", "#a8851b", "#20807a")

@@ -23,8 +23,8 @@ from .metrics import (
     waypoint_error,
 )
 from .objectives import Future, Objective
-from .planner import TracePlanner
 from .scene_map import SceneMaps
+from .scene_planner import ScenePlanner
 from .windows import CrowdWindows
 
 Found = TypeVar("Found")
@@ -212,7 +212,7 @@ def unwatched(done: int, total: int) -> None:
 
 
 def evaluate(
-    planner: TracePlanner,
+    planner: ScenePlanner,
     scenes: TrialScenes,
     wishes: Wishes = no_wish,
     choice: Choice = "guide",
@@ -252,7 +252,7 @@ def evaluate(
 
 
 def plan_each(
-    planner: TracePlanner,
+    planner: ScenePlanner,
     scenes: TrialScenes,
     wishes: Wishes = no_wish,
     workers: int = 1,
@@ -267,7 +267,7 @@ def plan_each(
 
 
 def evaluate_filter(
-    planner: TracePlanner,
+    planner: ScenePlanner,
     scenes: TrialScenes,
     guides: Mapping[str, Wishes],
     clock: Callable[[], float] = lambda: 0.0,

@@ -73,6 +73,11 @@ class Guidance:
         if not 0 <= self.speeds[0] < self.speeds[1]:
             raise GuidanceError(f"guidance speeds must be a range from 0 m/s upwards, not {self.speeds}")
 
+    @property
+    def polishes(self) -> bool:
+        """Whether chosen samples get steps of their own at the end."""
+        return self.mode == "direct" and self.polish > 0
+
     def step(self, loss: Tensor, gradient: Tensor, variance: Tensor) -> Tensor:
         """What is subtracted from the actions.
 

@@ -125,7 +125,7 @@ class LoopPlanner(Protocol):
         seed: int = 0,
         ids: Sequence[int] | None = None,
     ) -> Futures:
-        """See `TracePlanner.plan`."""
+        """See `ScenePlanner.plan`."""
         ...
 
 

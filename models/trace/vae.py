@@ -13,7 +13,8 @@ from .diffusion import CosineSchedule
 from .guidance import FutureOf
 from .network import ActionModel
 from .objectives import Objective
-from .planner import Sampling, TracePlanner
+from .sampling import Sampling
+from .scene_planner import ScenePlanner
 from .weights import WeightsError, load_tensors
 
 WEIGHTS = Path(__file__).parent.parent / "weights" / "trace_vae_compact.safetensors"
@@ -100,7 +101,7 @@ def divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
     return 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(-1)
 
 
-class VaePlanner(TracePlanner):
+class VaePlanner(ScenePlanner):
     """Plans with the VAE: latents are drawn, then walked towards the objectives (eq 23).
 
     Args:
@@ -119,9 +120,8 @@ class VaePlanner(TracePlanner):
         rate: float = 0.02,
         strength: float = 10.0,
     ):
-        self.trace, self.config = vae, vae.config
-        self.sampling = Sampling(samples=samples, reduced=False)
-        self.iterations, self.rate, self.strength = iterations, rate, strength
+        super().__init__(vae, Sampling(samples=samples, reduced=False))
+        self.vae, self.iterations, self.rate, self.strength = vae, iterations, rate, strength
 
     def sample(
         self,
@@ -131,18 +131,18 @@ class VaePlanner(TracePlanner):
         generator: torch.Generator,
         start: Tensor | None = None,
     ) -> Tensor:
-        """(A, M, horizon, 2) normalised actions; see `TracePlanner.sample`. A VAE cannot warm-start."""
+        """(A, M, horizon, 2) normalised actions; see `ScenePlanner.sample`. A VAE cannot warm-start."""
         samples = self.sampling.samples
         latent = torch.randn(len(context), samples, LATENT, generator=generator)
         with torch.no_grad():
-            condition = self.trace.encode(context).condition[:, None].expand(-1, samples, -1)
+            condition = self.vae.encode(context).condition[:, None].expand(-1, samples, -1)
         if objectives:
             latent = self._optimize(latent, condition, future_of, objectives)
         with torch.no_grad():
             return self._decode(latent, condition)
 
     def _decode(self, latent: Tensor, condition: Tensor) -> Tensor:
-        return self.trace.decode(latent, condition)
+        return self.vae.decode(latent, condition)
 
     def _optimize(
         self, latent: Tensor, condition: Tensor, future_of: FutureOf, objectives: Sequence[Objective]

@@ -25,8 +25,8 @@ from footfall.messages.objectives import (
 )
 from footfall.messages.topics import AGENTS, BODIES, MAP, OBJECTIVES
 from footfall.models.trace.objectives import OBJECTIVES as REGISTERED
-from footfall.models.trace.planner import TraceFutures
 from footfall.models.trace.scene_map import SceneMaps
+from footfall.models.trace.scene_planner import TraceFutures
 from footfall.models.trace.weights import load_tensors, save_tensors
 from footfall.nodes.planner import Config, PlannerNode
 from footfall.nodes.planner_stops import halted
@@ -319,11 +319,11 @@ def test_who_would_walk_into_a_wall_stops_before_it_and_all_others_walk_on():
     wall[:, 120:] = True  # from x = 12 m on
     maps = SceneMaps.from_raster({"obstacle": wall}, 0.1, (0.05, 0.05))
     now = np.array([[8.0, 10.0, 0.0, 1.5], [8.0, 5.0, np.pi, 1.5], [12.1, 10.0, np.pi, 1.0]])
-    time = 0.1 * np.arange(1, 51)
+    time = 0.1 * np.arange(1, 51, dtype=float)
     ahead = np.stack([np.cos(now[:, 2]), np.sin(now[:, 2])], -1)
     places = now[:, None, :2] + now[:, 3, None, None] * time[:, None] * ahead[:, None]
-    kept = [np.broadcast_to(now[:, column, None], (3, 50))[:, None] for column in (2, 3)]
-    futures = TraceFutures(places[:, None], *kept, np.zeros(3, np.int64))
+    headings, speeds = (np.broadcast_to(now[:, column, None], (3, 50))[:, None] for column in (2, 3))
+    futures = TraceFutures(places[:, None], headings, speeds, np.zeros(3, np.int64))
     radius, all_do = np.full(3, 0.25), np.ones(3, bool)
     stopped = halted(futures, now, maps, radius, all_do)
     x = stopped.positions[0, 0, :, 0]

@@ -21,8 +21,8 @@ from footfall.models.trace.network import Trace
 from footfall.models.trace.orca_scenes import CrowdSpec, simulate_crowds
 from footfall.models.trace.planner import SHIPPED, Sampling, TracePlanner
 from footfall.models.trace.weights import save_model
-from footfall.tools import eval_trace
-from footfall.tools.eval_trace import measures_ratio
+from footfall.tools import eval_trace, eval_trace_open_loop
+from footfall.tools.eval_trace_open_loop import measures_ratio
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -104,8 +104,8 @@ def test_table_stands_beside_the_papers_figures(crowds, tmp_path, capsys):
 
 def test_slow_rows_take_all_steps_but_not_in_haste(crowds, tmp_path, capsys, monkeypatch):
     crowds.save(tmp_path / "maps.npz")
-    monkeypatch.setattr(eval_trace, "SLOW", Sampling(solver="ddpm", samples=2))
-    monkeypatch.setattr(eval_trace, "QUICK", Sampling(solver="ddim", steps=20, samples=2))
+    monkeypatch.setattr(eval_trace_open_loop, "SLOW", Sampling(solver="ddpm", samples=2))
+    monkeypatch.setattr(eval_trace_open_loop, "QUICK", Sampling(solver="ddim", steps=20, samples=2))
     data = ["--data", str(tmp_path / "maps.npz"), "--guides", "waypoint"]
     slow = ["--methods", "filter", "direct_slow", "direct"]
     fast = ("direct", "distilled 4")
@@ -137,8 +137,8 @@ def test_quality_is_the_mean_ratio_of_all_measures():
 
 def test_ablations_stand_beside_ours(crowds, tmp_path, capsys, monkeypatch):
     crowds.save(tmp_path / "maps.npz")
-    monkeypatch.setattr(eval_trace, "FAITHFUL", Sampling(steps=2, samples=2))
-    monkeypatch.setattr(eval_trace, "FAST", replace(SHIPPED, samples=2))
+    monkeypatch.setattr(eval_trace_open_loop, "FAITHFUL", Sampling(steps=2, samples=2))
+    monkeypatch.setattr(eval_trace_open_loop, "FAST", replace(SHIPPED, samples=2))
     facts = {"step": 3, "drop": 0.05, "data": [{"name": "orca-maps", "scenes": 8}, {"name": "start"}]}
     others = [tmp_path / "never_dropped.safetensors", tmp_path / "global.safetensors"]
     save_model(others[0], Trace(COMPACT), facts)
@@ -204,7 +204,7 @@ def test_pictures_are_drawn(crowds, tmp_path, capsys):
 
 def test_samplers_are_compared_in_a_table_and_a_curve(crowds, tmp_path, capsys, monkeypatch):
     crowds.save(tmp_path / "maps.npz")
-    monkeypatch.setattr(eval_trace, "SAMPLERS", [("ddim", 6), ("distilled", 4), ("dpm", 4)])
+    monkeypatch.setattr(eval_trace_open_loop, "SAMPLERS", [("ddim", 6), ("distilled", 4), ("dpm", 4)])
     data = ["--data", str(tmp_path / "maps.npz"), "--pictures", str(tmp_path)]
     assert run("--table", "samplers", *data) == 0
     text = capsys.readouterr().out

@@ -6,6 +6,8 @@ from footfall.models.body import BODY_INDEX, JOINT_GAINS, JOINT_INDEX, describe,
 from footfall.models.body.skeleton import GAIN_REFERENCE_MASS
 from footfall.models.pacer.swing_dynamics import HINGES, SwingLegs, leg_angles
 
+# pyright: reportAttributeAccessIssue=false
+
 
 def _hanging_leg(body):
     """MuJoCo's model of the body's left leg below a fixed hip, with hinges about y only."""

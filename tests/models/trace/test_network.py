@@ -247,7 +247,8 @@ def test_normalising_in_bfloat16_is_as_exact_as_bfloat16():
     torch.manual_seed(0)
     for channels, rows in ((64, 7), (64, 230), (128, 7)):
         norm = TemporalNorm(8, channels).requires_grad_(False)
-        norm.weight.normal_(), norm.bias.normal_()
+        norm.weight.normal_()
+        norm.bias.normal_()
         x = torch.randn(rows, channels, 1, 13).bfloat16().to(memory_format=torch.channels_last)
         exact = torch.nn.functional.group_norm(x.double(), 8, norm.weight.double(), norm.bias.double())
         assert torch.equal(norm(x.float()), torch.nn.GroupNorm.forward(norm, x.float()))

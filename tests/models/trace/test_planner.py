@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 import torch
 
-from footfall.models.trace import planner as planner_module
-from footfall.models.trace import settling
+from footfall.models.trace import denoising, settling
 from footfall.models.trace.context import scene_context
+from footfall.models.trace.denoising import Denoiser
 from footfall.models.trace.diffusion import DDIM, CosineSchedule
 from footfall.models.trace.guidance import Guidance
 from footfall.models.trace.objectives import Future, Objective, ObjectiveError
@@ -231,13 +231,13 @@ def test_who_misses_what_they_are_asked_tries_again_and_the_others_keep_to_their
 @pytest.mark.parametrize(("polish", "guided"), [(0, 4), (8, 3)])
 def test_the_last_step_is_left_to_who_is_polished(trace, monkeypatch, polish, guided):
     asked = []
-    guide = TracePlanner._guided
+    guide = Denoiser._guided
 
     def spy(self, noisy, k, encodings, estimate, future_of, objectives, lag):
         asked.append(len(objectives))
         return guide(self, noisy, k, encodings, estimate, future_of, objectives, lag)
 
-    monkeypatch.setattr(TracePlanner, "_guided", spy)
+    monkeypatch.setattr(Denoiser, "_guided", spy)
     planner = TracePlanner(trace, replace(FEW, samples=2), Guidance(polish=polish))
     planner.plan(*crowd(), objectives=[Objective("agent_avoid")])
     assert asked == [1] * guided + [0] * (4 - guided)
@@ -273,8 +273,8 @@ def test_haste_holds_back_whoever_is_led_and_may_come_at_any_time(trace):
 @pytest.mark.parametrize(("people", "tries"), [(1, 3), (9, 1)])
 def test_who_is_still_lost_tries_again_unless_so_many_are(trace, monkeypatch, people, tries):
     tried = []
-    resample = TracePlanner._resample
-    monkeypatch.setattr(TracePlanner, "_resample", lambda *args: tried.append(args[1]) or resample(*args))
+    resample = Denoiser.resample
+    monkeypatch.setattr(Denoiser, "resample", lambda *args: tried.append(args[1]) or resample(*args))
     planner = TracePlanner(trace, replace(FEW, samples=2), Guidance(tries=3))
     beyond = [Objective("target_speed", {"speed": 9.0})]
     planner.plan(*crowd(people), objectives=beyond)
@@ -283,8 +283,8 @@ def test_who_is_still_lost_tries_again_unless_so_many_are(trace, monkeypatch, pe
 
 def test_who_tries_again_is_led_at_a_part_of_the_noise_but_not_at_the_last_step(trace, monkeypatch):
     led, guided = [], []
-    resample, guide = TracePlanner._resample, planner_module.guide_direct
-    monkeypatch.setattr(planner_module, "guide_direct", lambda *args: guided.append(args[-1]) or guide(*args))
+    resample, guide = Denoiser.resample, denoising.guide_direct
+    monkeypatch.setattr(denoising, "guide_direct", lambda *args: guided.append(args[-1]) or guide(*args))
 
     def spy(*args):
         guided.clear()
@@ -292,12 +292,12 @@ def test_who_tries_again_is_led_at_a_part_of_the_noise_but_not_at_the_last_step(
         led.append([round(float(variance), 4) for variance in guided])
         return found
 
-    monkeypatch.setattr(TracePlanner, "_resample", spy)
+    monkeypatch.setattr(Denoiser, "resample", spy)
     planner = TracePlanner(trace, replace(FEW, samples=2), Guidance(tries=2))
     planner.plan(*crowd(1), objectives=[Objective("target_speed", {"speed": 9.0})])
-    steps = planner.sampling.make_solver(planner.schedule).timesteps
+    steps = planner.sampling.make_solver(planner.denoiser.schedule).timesteps
     part = [k for k in steps if k <= FEW.keep * 99]
-    assert led == [[round(float(planner.schedule.variance(k)), 4) for k in part[:-1]]] * 2
+    assert led == [[round(float(planner.denoiser.schedule.variance(k)), 4) for k in part[:-1]]] * 2
 
 
 def test_who_stands_with_the_goal_behind_sets_out_in_other_directions(trace):
@@ -314,10 +314,10 @@ def test_who_stands_with_the_goal_behind_sets_out_in_other_directions(trace):
     def missed(start):
         wish = [Objective("waypoint", {"goal": goal, "temperature": 0.05})]
         rows, generator = torch.tensor([0]), torch.Generator().manual_seed(0)
-        found = planner._resample(rows, start, still, context, future_of, wish, generator)
+        found = planner.denoiser.resample(rows, start, still, context, future_of, wish, generator)
         return (future_of(found).positions - goal).norm(dim=-1).amin(-1)
 
-    starts = planner._starts(still, torch.zeros(1))
+    starts = planner.denoiser.starts(still, torch.zeros(1))
     assert torch.equal(starts[:, ::2], still.expand(1, 4, -1, -1))
     ahead = future_of(starts).states[0, 1::2, -1]
     assert torch.allclose(ahead[:, 3], torch.ones(4), atol=1e-3)  # a usual pace
