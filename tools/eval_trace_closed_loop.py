@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ..models.trace.closed_loop import LoopReport, LoopTally, recorded, walk_all
+from ..models.trace.closed_loop import LoopReport, LoopTally, asked, recorded, walk_all
 from ..models.trace.crowd_file import CrowdFileError, Crowds
 from ..models.trace.guidance import Guidance
 from ..models.trace.network import Trace
 from ..models.trace.planner import DISTILLED, FEW, Sampling, TracePlanner
-from ..models.trace.rollouts import Rollout, rollouts
+from ..models.trace.rollouts import LoopPlanner, Rollout, rollouts
 from ..models.trace.vae import WEIGHTS as VAE_WEIGHTS
 from ..models.trace.vae import VaePlanner, load_vae
 from ..models.trace.weights import WeightsError, load_model
@@ -28,6 +28,8 @@ from .progress import progress_line
 
 FOLDS = ("eth", "hotel", "zara")
 """Places with maps, for each of which there is a network that has seen nobody there."""
+NETWORKS = ("biwi", "zara")
+"""Folds that a network is shipped for each."""
 QUICK_ROLLOUTS = 4
 SAMPLES = 10  # app. C.5
 VAE_ITERATIONS = 200  # app. C.4
@@ -85,10 +87,9 @@ class Fold:
     trace: Trace
     facts: Mapping[str, Any]
 
-    @property
-    def has_groups(self) -> bool:
-        """Whether anybody walks with somebody."""
-        return any((trial.groups >= 0).any() for trial in self.trials)
+    def has(self, guide: str) -> bool:
+        """Whether anybody can be guided so: in groups there must be somebody who walks with somebody."""
+        return next(asked(self.trials, guide, seed=0), None) is not None
 
     def with_weights(self, path: Path) -> "Fold":
         """The same with another network.
@@ -146,7 +147,7 @@ def shipped(fold: str) -> Path:
     Raises:
         WeightsError: When there are none.
     """
-    for name in FOLDS:
+    for name in NETWORKS:
         if set(LEFT_OUT[fold]) <= set(LEFT_OUT[name]):
             return DISTILLED.with_name(f"trace_compact_mixed_{name}.safetensors")
     raise WeightsError(f"no weights are shipped that have seen nobody of {fold}: --weights must name some")
@@ -217,7 +218,7 @@ def pooled(tallies: Mapping[str, LoopTally]) -> Row:
     return figures(together.report()) | apart
 
 
-def walked(planned: Mapping[str, TracePlanner], folds: Sequence[Fold], guide: str) -> Row:
+def walked(planned: Mapping[str, LoopPlanner], folds: Sequence[Fold], guide: str) -> Row:
     """Figures of a planner for each fold, with progress on a terminal."""
     return pooled(
         {
@@ -250,7 +251,7 @@ def planners(folds: Sequence[Fold], method: str, guide: str, weight: float) -> d
 
 def compared(
     folds: Sequence[Fold], guide: str, args: argparse.Namespace
-) -> Iterator[tuple[str, float | None, dict[str, TracePlanner]]]:
+) -> Iterator[tuple[str, float | None, Mapping[str, LoopPlanner]]]:
     """Methods with their w and planners."""
     for method in args.methods:
         if method == "vae" and args.vae.is_file():
@@ -266,18 +267,18 @@ def table_2(folds: Sequence[Fold], args: argparse.Namespace) -> Iterator[Row]:
     others = [[fold.with_weights(path) for fold in folds] for path in args.others]
     for guide in GUIDES:
         yield from (row for row in paper.TABLE_2 if row["guide"] == guide)
-        if guide == "groups" and not all(fold.has_groups for fold in folds):
+        if not (led := [fold for fold in folds if fold.has(guide)]):
             continue
-        truth = pooled({fold.name: recorded(fold.trials, guide) for fold in folds})
+        truth = pooled({fold.name: recorded(fold.trials, guide) for fold in led})
         yield {"guide": guide, "method": "recorded", **truth}
-        rows = list(compared(folds, guide, args))
+        rows = list(compared(led, guide, args))
         for other in others:
             name = f"direct, trained on {trained_on(other[0].facts)}"
             rows.append((name, 0.0, planners(other, "direct", guide, 0.0)))
         for method, weight, planned in rows:
-            config = planned[folds[0].name].config.name
+            config = planned[led[0].name].config.name
             labels: Row = {"guide": guide, "method": method, "config": config, "w": weight}
-            yield labels | walked(planned, folds, guide)
+            yield labels | walked(planned, led, guide)
 
 
 def table_8(folds: Sequence[Fold], args: argparse.Namespace) -> Iterator[Row]:

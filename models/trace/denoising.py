@@ -37,12 +37,7 @@ class Denoiser:
     ) -> Tensor:
         """Denoise all samples of all agents together: (A, M, horizon, 2) normalised actions.
 
-        Args:
-            context: A agents.
-            future_of: From actions to what the objectives look at.
-            objectives: What is asked.
-            generator: Draws the noise.
-            start: (A, M, horizon, 2) actions to start from, noised part of the way only.
+        See `scene_planner.ActionSource`; a `start` is noised part of the way only.
         """
         sampling, shape = self.sampling, (len(context), self.sampling.samples, self.config.horizon, 2)
         solver, first = self._solver(anew=start is None)

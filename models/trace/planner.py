@@ -55,14 +55,15 @@ class TracePlanner(ScenePlanner):
     """
 
     def __init__(self, trace: Trace, sampling: Sampling | None = None, guidance: Guidance | None = None):
-        super().__init__(trace, sampling or default_sampling(trace.config))
-        steps, self.guidance = trace.config.timesteps, guidance or THOROUGH
-        if steps and not self.sampling.suits(steps):
+        sampling, steps = sampling or default_sampling(trace.config), trace.config.timesteps
+        if steps and not sampling.suits(steps):
             raise WeightsError(
                 f"this network is distilled for the steps {', '.join(map(str, steps))} of ddim without "
                 "context_weight; other sampling needs weights that are not distilled"
             )
-        self.denoiser = Denoiser(trace, self.sampling, self.guidance)
+        self.guidance = guidance or THOROUGH
+        self.denoiser = Denoiser(trace, sampling, self.guidance)
+        super().__init__(trace, sampling, self.denoiser)
 
     @classmethod
     def load(
@@ -79,17 +80,6 @@ class TracePlanner(ScenePlanner):
             WeightsError: When the file is missing or broken, or distilled for other steps than those of `sampling`.
         """
         return cls(load_model(path or weights_for(sampling or SHIPPED))[0], sampling, guidance)
-
-    def sample(
-        self,
-        context: Context,
-        future_of: FutureOf,
-        objectives: Sequence[Objective],
-        generator: torch.Generator,
-        start: Tensor | None = None,
-    ) -> Tensor:
-        """(A, M, horizon, 2) normalised actions; see `ScenePlanner.sample`."""
-        return self.denoiser.sample(context, future_of, objectives, generator, start)
 
     def settle(
         self,

@@ -1,8 +1,8 @@
 """Plans for all agents of a scene at once, by any model that turns their context into actions."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -35,18 +35,9 @@ class TraceFutures(Futures):
     ids: tuple[int, ...] = ()
 
 
-class ScenePlanner(ABC):
-    """A planner, but for how actions are drawn.
+class ActionSource(Protocol):
+    """What draws the actions of everybody in a scene."""
 
-    Args:
-        trace: Trained model.
-        sampling: How futures are drawn.
-    """
-
-    def __init__(self, trace: ActionModel, sampling: Sampling):
-        self.trace, self.config, self.sampling = trace, trace.config, sampling
-
-    @abstractmethod
     def sample(
         self,
         context: Context,
@@ -64,6 +55,21 @@ class ScenePlanner(ABC):
             generator: Draws the noise.
             start: (A, M, horizon, 2) actions of the previous plan to start from.
         """
+        ...
+
+
+class ScenePlanner:
+    """A planner around whatever draws actions.
+
+    Args:
+        model: The network, which knows what normalised actions are.
+        sampling: How futures are drawn.
+        source: Draws them.
+    """
+
+    def __init__(self, model: ActionModel, sampling: Sampling, source: ActionSource):
+        self.config, self.sampling = model.config, sampling
+        self._model, self._source = model, source
 
     def settle(
         self,
@@ -143,7 +149,7 @@ class ScenePlanner(ABC):
         generator = torch.Generator().manual_seed(seed)
         ids = tuple(range(len(context))) if ids is None else ids
         start = None if previous is None else self._shifted(previous, ids, elapsed)
-        actions = self.sample(context, future_of, objectives, generator, start)
+        actions = self._source.sample(context, future_of, objectives, generator, start)
         found = Candidates.judged(actions, future_of, objectives)
         if objectives:
             found = self.settle(found, context, future_of, objectives, seed)
@@ -161,7 +167,7 @@ class ScenePlanner(ABC):
     def world_states(self, actions: Tensor, now: Tensor) -> Tensor:
         """World states (A, M, plan, 4) from normalised actions (A, M, horizon, 2) and states now (A, 4)."""
         actions = actions[..., : self.config.plan, :]
-        actions = actions * self.trace.trajectory_std[4:] + self.trace.trajectory_mean[4:]
+        actions = actions * self._model.trajectory_std[4:] + self._model.trajectory_mean[4:]
         return rollout(now[:, None], actions, self.config.dt)
 
     def _shifted(self, previous: TraceFutures, ids: tuple[int, ...], elapsed: int) -> Tensor:
@@ -175,7 +181,7 @@ class ScenePlanner(ABC):
         if elapsed < 0:
             raise ValueError(f"elapsed must not be negative, it is {elapsed}")
         horizon = self.config.horizon
-        start = self.trace.normalized(torch.zeros(len(ids), horizon, 2))
+        start = self._model.normalized(torch.zeros(len(ids), horizon, 2))
         known = [(row, row_of[agent]) for row, agent in enumerate(ids) if agent in row_of]
         if known and elapsed < horizon:
             rows, old = torch.tensor(known).unbind(1)

@@ -1,6 +1,7 @@
 """The VAE baseline, controlled by optimising its latents at test time (Rempe et al. 2023, app. C.4)."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -101,27 +102,23 @@ def divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
     return 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(-1)
 
 
-class VaePlanner(ScenePlanner):
-    """Plans with the VAE: latents are drawn, then walked towards the objectives (eq 23).
+@dataclass(frozen=True)
+class LatentWalk:
+    """Draws latents of the VAE and walks them towards the objectives (eq 23).
 
-    Args:
+    Attributes:
         vae: Trained baseline.
         samples: Futures per agent.
-        iterations: Steps of Adam; 100 is as many as TRACE has diffusion steps (200 in closed loop).
+        iterations: Steps of Adam.
         rate: Learning rate of Adam.
         strength: alpha, weight of the objectives against the prior.
     """
 
-    def __init__(
-        self,
-        vae: TraceVae,
-        samples: int = 10,
-        iterations: int = 100,
-        rate: float = 0.02,
-        strength: float = 10.0,
-    ):
-        super().__init__(vae, Sampling(samples=samples, reduced=False))
-        self.vae, self.iterations, self.rate, self.strength = vae, iterations, rate, strength
+    vae: TraceVae
+    samples: int
+    iterations: int
+    rate: float = 0.02
+    strength: float = 10.0
 
     def sample(
         self,
@@ -131,18 +128,14 @@ class VaePlanner(ScenePlanner):
         generator: torch.Generator,
         start: Tensor | None = None,
     ) -> Tensor:
-        """(A, M, horizon, 2) normalised actions; see `ScenePlanner.sample`. A VAE cannot warm-start."""
-        samples = self.sampling.samples
-        latent = torch.randn(len(context), samples, LATENT, generator=generator)
+        """(A, M, horizon, 2) normalised actions; see `ActionSource`. A VAE cannot warm-start."""
+        latent = torch.randn(len(context), self.samples, LATENT, generator=generator)
         with torch.no_grad():
-            condition = self.vae.encode(context).condition[:, None].expand(-1, samples, -1)
+            condition = self.vae.encode(context).condition[:, None].expand(-1, self.samples, -1)
         if objectives:
             latent = self._optimize(latent, condition, future_of, objectives)
         with torch.no_grad():
-            return self._decode(latent, condition)
-
-    def _decode(self, latent: Tensor, condition: Tensor) -> Tensor:
-        return self.vae.decode(latent, condition)
+            return self.vae.decode(latent, condition)
 
     def _optimize(
         self, latent: Tensor, condition: Tensor, future_of: FutureOf, objectives: Sequence[Objective]
@@ -151,12 +144,23 @@ class VaePlanner(ScenePlanner):
         optimizer = torch.optim.Adam([latent], lr=self.rate)
         for _ in range(self.iterations):
             with torch.enable_grad():
-                future = future_of(self._decode(latent, condition))
+                future = future_of(self.vae.decode(latent, condition))
                 wanted = sum(wish.weight * wish.loss(future).sum() for wish in objectives)
                 loss = self.strength * wanted + latent.square().sum() / 2  # -log p(z) up to a constant
             (latent.grad,) = torch.autograd.grad(loss, latent)
             optimizer.step()
         return latent.detach()
+
+
+class VaePlanner(ScenePlanner):
+    """Plans with the VAE, in as many steps of Adam as TRACE has of diffusion (200 in closed loop).
+
+    `how` has the `rate` and the `strength` of `LatentWalk`.
+    """
+
+    def __init__(self, vae: TraceVae, samples: int = 10, iterations: int = 100, **how: float):
+        sampling = Sampling(samples=samples, reduced=False)
+        super().__init__(vae, sampling, LatentWalk(vae, samples, iterations, **how))
 
 
 def load_vae(path: Path = WEIGHTS) -> tuple[TraceVae, dict]:

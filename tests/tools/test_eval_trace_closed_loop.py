@@ -84,12 +84,16 @@ def test_table_2_has_the_papers_the_recorded_and_our_rows(root, capsys):
 
 
 def test_folds_are_pooled_by_people(root, capsys, monkeypatch):
-    monkeypatch.setattr(closed_loop, "GUIDES", ("waypoint",))
+    monkeypatch.setattr(closed_loop, "GUIDES", ("waypoint", "groups"))
     assert table(root, "2", "--folds", "eth", "hotel", "--methods", "direct") == 0
-    for row in json.loads(capsys.readouterr().out)["rows"][3:]:
+    rows = [row for row in json.loads(capsys.readouterr().out)["rows"] if "paper" not in row["method"]]
+    for row in rows[:3]:
         for key in ("error", "obstacle", "lon"):  # one person there, two here
             assert row[key] == pytest.approx((row[f"{key}_eth"] + 2 * row[f"{key}_hotel"]) / 3)
         assert row["agent"] == (row["agent_eth"] + row["agent_hotel"]) / 2
+    for row in rows[3:]:  # nobody in eth walks with somebody
+        assert row["guide"] == "groups" and row["error"] == row["error_hotel"] and "error_eth" not in row
+    assert len(rows) == 6
 
 
 @pytest.mark.parametrize(
@@ -98,6 +102,7 @@ def test_folds_are_pooled_by_people(root, capsys, monkeypatch):
         ("orca-maps", "eth", True),
         ("eth-ucy-eth-maps", "eth", True),
         ("eth-ucy-eth-open", "hotel", False),
+        ("eth-ucy-biwi-maps", "hotel", True),
         ("eth-ucy-zara-maps", "zara1", True),
         ("eth-ucy-zara2-maps", "zara1", False),
         ("eth-ucy-zara1-maps", "zara", False),
@@ -122,7 +127,7 @@ def test_a_network_that_has_seen_the_place_is_refused(root, capsys):
 
 
 def test_every_fold_with_a_map_has_weights_that_have_seen_nobody_there(capsys):
-    for fold in ("eth", "hotel", "zara", "zara1", "zara2"):
+    for fold in ("eth", "hotel", "biwi", "zara", "zara1", "zara2"):
         path = closed_loop.shipped(fold)
         closed_loop.check_left_out(path, load_model(path)[1], fold)
     arguments = ["eval", "trace", "--table", "2", "--folds", "univ"]
