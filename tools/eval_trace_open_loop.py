@@ -41,7 +41,7 @@ SLOW = Sampling(solver="ddpm", samples=20)
 QUICK = Sampling(solver="ddim", steps=20, samples=20)
 """Instead of `SLOW` with `--quick`, which has no time for 100 steps."""
 FAITHFUL = Sampling(solver="sde", steps=20, samples=20, context_weight=0.5)
-"""Of tables 5 and 6: 20 samples of all 100 steps would take a quarter of an hour a row."""
+"""Of tables 5 and 6, where 20 samples of all 100 steps would take a quarter of an hour a row, and with `--quick`."""
 GUIDANCES = {
     "noisy": Guidance(mode="noisy"),
     "clean": Guidance(mode="clean"),
@@ -176,19 +176,19 @@ def table_1(trace: Trace, fast: Trace, scenes: TrialScenes, args: argparse.Names
         return TracePlanner(network, sampling, GUIDANCES[method])
 
     def unguided() -> Iterator[tuple[str, ScenePlanner]]:
-        runs = UNGUIDED.samples if args.quick else FAST.samples
-        yield "unguided", TracePlanner(trace, dataclasses.replace(UNGUIDED, samples=runs))
+        paper_like, runs = (FAITHFUL, UNGUIDED.samples) if args.quick else (UNGUIDED, FAST.samples)
+        yield "unguided", TracePlanner(trace, dataclasses.replace(paper_like, samples=runs))
         yield "direct", TracePlanner(fast, dataclasses.replace(FAST, samples=runs))
         if "vae" in methods:
             yield "vae", VaePlanner(load_vae()[0], runs)
 
-    slowly: dict[str, Row] = {}  # by guide, what fewer steps are measured by
+    slowly: dict[str, Row] = {}  # by guide, what fewer steps are measured by: rows of 100 steps
 
     def row(guide: str, method: str, sampler: str, report: Report) -> Row:
         name = shipped if method == "direct" else config
         labels: Row = {"guide": guide, "method": method, "sampler": sampler, "config": name}
         found = labels | {"error": guide_error(guide, report), **metrics(report), "seconds": report.seconds}
-        if method in ("unguided", "direct_slow"):
+        if method in ("unguided", "direct_slow") and not args.quick:
             slowly[guide] = found
         elif method == "direct" and guide in slowly:
             found["ratio"] = measures_ratio(found, slowly[guide])
