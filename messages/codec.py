@@ -244,7 +244,7 @@ class Codec(Generic[M]):
         dtype = DTYPES.get(dtype_name) if isinstance(dtype_name, str) else None
         if dtype is None:
             raise ValueError(f"dtype {dtype_name!r} is not one of {', '.join(sorted(DTYPES))}")
-        if not isinstance(shape, (list, tuple)) or len(shape) > MAX_AXES:
+        if not _is_shape(shape):
             raise ValueError(f"shape {str(shape)[:80]} is not a list of at most {MAX_AXES} lengths")
         if isinstance(where, bytes):
             data: Buffer = where
@@ -263,6 +263,16 @@ class Codec(Generic[M]):
             array = array.copy()
         array.flags.writeable = False
         return array
+
+
+def _is_shape(shape: Any) -> bool:
+    """Whether these are lengths: Python multiplies numbers by texts and lists, into gigabytes."""
+    if not isinstance(shape, (list, tuple)) or len(shape) > MAX_AXES:
+        return False
+    for length in shape:  # noqa: SIM110 - a generator takes twice as long
+        if length.__class__ is not int or length < 0:
+            return False
+    return True
 
 
 def _field_of(path: str) -> str:

@@ -206,6 +206,8 @@ def lie_about_arrays(parts: Parts, rng: np.random.Generator) -> Parts:
             [dtype, [*shape, 1], where],
             [dtype, shape[::-1], where],
             [dtype, [1.5, "x"], where],
+            [dtype, [*shape, 2**40, b"x"], where],
+            [dtype, [2**40, [None]], where],
             [dtype, [1] * 40, where],
             [dtype, shape, int(rng.integers(-3, 300))],
             [dtype, shape, None],

@@ -334,6 +334,20 @@ def test_bad_headers(head: bytes, text: str) -> None:
     assert text in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    "shape", [[2**60, "x"], [2**60, b"x"], [[None], 2**60], [True, 2], [-1, -2], [1.0], None]
+)
+def test_what_is_no_shape_is_refused_before_anything_is_made_of_it(shape: Any) -> None:
+    codec = Codec("t", BodyStates)
+    body = msgpack.unpackb(codec.encode(BodyStates(IDS, STATES))[0])
+    body["ids"][1] = shape
+    with pytest.raises(
+        MessageError, match=r"^t: ids: shape .* is not a list of at most 8 lengths$"
+    ) as caught:
+        codec.decode(msgpack.packb(body))
+    assert len(str(caught.value)) < 200
+
+
 def test_repeated_and_misannounced_messages_are_rejected() -> None:
     codec = Codec("t", BodyStates)
     inlet = Inlet(Edge("t", "a", "b", "t", Input("t", "queue", 10), False, False), codec, False)
