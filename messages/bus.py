@@ -156,13 +156,15 @@ class Inlet:
             raise MessageError(edge.topic, "schema", f"{sides}; run both from one release")
         if theirs != self._noted:
             self._noted = theirs
-            self.faults.append(
-                MessageError(edge.topic, "schema", f"{sides}: fields with defaults differ; reading what fits")
-            )
+            text = f"{sides}: fields with defaults differ; reading what fits"
+            self._tell(MessageError(edge.topic, "schema", text))
 
     def reject(self, error: MessageError) -> None:
         """Count a message that is not what the topic promises."""
         self.rejected += 1
+        self._tell(error)
+
+    def _tell(self, error: MessageError) -> None:
         if len(self.faults) < 8:
             self.faults.append(error)
 

@@ -2,6 +2,7 @@
 
 import math
 import re
+import reprlib
 import struct
 from collections.abc import Sequence
 from functools import cache
@@ -243,16 +244,16 @@ class Codec(Generic[M]):
         dtype_name, shape, where = value
         dtype = DTYPES.get(dtype_name) if isinstance(dtype_name, str) else None
         if dtype is None:
-            raise ValueError(f"dtype {dtype_name!r} is not one of {', '.join(sorted(DTYPES))}")
+            raise ValueError(f"dtype {_told(dtype_name)} is not one of {', '.join(sorted(DTYPES))}")
         if not _is_shape(shape):
-            raise ValueError(f"shape {str(shape)[:80]} is not a list of at most {MAX_AXES} lengths")
+            raise ValueError(f"shape {_told(shape)} is not a list of at most {MAX_AXES} lengths")
         if isinstance(where, bytes):
             data: Buffer = where
         elif type(where) is int and 0 <= where < len(self._received) and where not in self._used:
             self._used.add(where)
             data = self._received[where]
         else:
-            raise ValueError(f"frame {where!r} is not among the {len(self._received)} frames that came")
+            raise ValueError(f"frame {_told(where)} is not among the {len(self._received)} frames that came")
         size = math.prod(shape) * dtype.itemsize
         if size != len(data):
             raise ValueError(f"shape {tuple(shape)} of {dtype.str} needs {size} bytes, {len(data)} came")
@@ -263,6 +264,17 @@ class Codec(Generic[M]):
             array = array.copy()
         array.flags.writeable = False
         return array
+
+
+_cut = reprlib.Repr()
+_cut.maxlist = _cut.maxtuple = MAX_AXES
+_cut.maxlevel = 2
+_cut.maxstring = 80
+
+
+def _told(value: Any) -> str:
+    """For an error: what may be huge is cut before it is written out."""
+    return repr(value[:80]) if isinstance(value, bytes) else _cut.repr(value)
 
 
 def _is_shape(shape: Any) -> bool:

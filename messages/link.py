@@ -127,7 +127,7 @@ def decode_line(data: bytes) -> Line | None:
     """A line, or None for bytes that are not one."""
     try:
         return _decoder.decode(data)
-    except msgspec.DecodeError:
+    except (msgspec.DecodeError, RecursionError):
         return None
 
 

@@ -138,7 +138,10 @@ class _Spinner:
 
     def _control(self, node: str, name: str, value: Any) -> None:
         if node in ("*", self.process.name) and name == "log_level":
-            logging.getLogger().setLevel(str(value))
+            try:
+                logging.getLogger().setLevel(str(value))
+            except ValueError as error:
+                log.warning("log_level stays as it is: %s", error)
 
 
 class ClockOwner:
@@ -258,13 +261,24 @@ class ClockOwner:
         for control in (m.message for m in messages if m.port == CONTROL.name):
             if control.node not in ("*", self.process.name):
                 continue
-            if control.name in ("pause", "resume"):
-                self.paused = control.name == "pause"
-            elif control.name == "step":
-                self.single_steps += int(control.value or 1)
-            elif control.name == "rate":
-                self.rate = float(control.value) if control.value else None
+            try:
+                if control.name in ("pause", "resume"):
+                    self.paused = control.name == "pause"
+                elif control.name == "step":
+                    self.single_steps += int(control.value or 1)
+                elif control.name == "rate":
+                    self.rate = _rate(control.value)
+            except (TypeError, ValueError) as error:
+                log.error("control %s: %r: %s", control.name, control.value, error)
         return messages
+
+
+def _rate(value: Any) -> float | None:
+    """Times real time; nothing, or 0, is as fast as it goes."""
+    rate = float(value) if value else None
+    if rate is not None and not rate > 0:
+        raise ValueError("must not be below 0")
+    return rate
 
 
 def _check_wiring(process: Process, node_type: type[Node]) -> None:

@@ -28,7 +28,7 @@ class Transport:
                     self.steps += int(value or 1)
                 case "rate":
                     rate = float(value) if value else None  # 0 is as fast as it goes
-                    if rate is not None and rate < 0:
+                    if rate is not None and not rate > 0:
                         raise ValueError("must not be below 0")
                     self.rate = rate
                 case "seek":

@@ -7,6 +7,9 @@ from torch import Tensor
 
 from .scene_map import SceneMaps
 
+FAR = 1e5
+"""Places are float32: so far from the origin they are a centimetre apart [m]."""
+
 
 @dataclass(frozen=True)
 class Context:
@@ -170,6 +173,8 @@ def scene_context(
     agents, frames = states.shape[:2]
     if size.shape != (agents, 2):
         raise ValueError(f"size must be ({agents}, 2 [length width]), not {tuple(size.shape)}")
+    if not (torch.isfinite(size) & (size > 0)).all():
+        raise ValueError("the sizes of agents must be finite and above zero")
     if present is None:
         present = torch.ones(agents, frames, dtype=torch.bool)
     if present.shape != (agents, frames):
@@ -180,6 +185,11 @@ def scene_context(
         )
     if not torch.isfinite(states[present]).all():
         raise ValueError("states of present agents must be finite")
+    if states[present][:, :2].abs().max() > FAR:
+        raise ValueError(
+            f"somebody is more than {FAR:g} m from the origin, where places are rounded to centimetres and more; "
+            "take an origin nearer by"
+        )
     states = torch.where(present[..., None], states, torch.zeros(()))
     now = states[:, -1, :2]
     distance = torch.cdist(now, now).fill_diagonal_(torch.inf)

@@ -62,13 +62,15 @@ class Guidance:
     def __post_init__(self):
         if self.mode not in ("clean", "noisy", "direct") or self.scale not in ("variance", "unit", "polyak"):
             raise GuidanceError(f"there is no guidance mode {self.mode!r} with scale {self.scale!r}")
-        if min(self.strength, self.polish, self.tries) < 0 or self.inner_steps < 1 or self.limit <= 0:
-            raise GuidanceError(
-                "guidance strength, polish and tries must be >= 0, inner_steps >= 1, limit > 0"
-            )
+        if not all(isinstance(count, int) for count in (self.polish, self.tries, self.inner_steps)):
+            raise GuidanceError("guidance polish, tries and inner_steps must be whole numbers")
+        if min(self.polish, self.tries) < 0 or self.inner_steps < 1:
+            raise GuidanceError("guidance polish and tries must be >= 0, inner_steps >= 1")
+        if not (0 <= self.strength < math.inf and 0 < self.limit < math.inf):
+            raise GuidanceError("guidance strength must be finite and >= 0, limit finite and > 0")
         if not 0 <= self.haste < math.inf:
             raise GuidanceError(f"guidance haste must be >= 0 m/s^2, not {self.haste}")
-        if not self.temperature > 0:
+        if not 0 < self.temperature < math.inf:
             raise GuidanceError(f"guidance temperature must be > 0, not {self.temperature}")
         if not 0 <= self.speeds[0] < self.speeds[1]:
             raise GuidanceError(f"guidance speeds must be a range from 0 m/s upwards, not {self.speeds}")

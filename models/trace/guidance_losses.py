@@ -151,8 +151,9 @@ def waypoint_at(future: Future, goal: Tensor, time: Tensor | float) -> Tensor:
         time: (A,) seconds from now.
     """
     distance, given = distance_to(future, goal)
-    frame = _frame(future, time)
-    return distance.gather(2, frame.expand(-1, distance.shape[1], 1))[..., 0] * given
+    due, timed = per_agent(time, len(future.states))
+    frame = ((due / future.dt).round().long() - 1).clamp(0, distance.shape[2] - 1)[..., None]
+    return distance.gather(2, frame.expand(-1, distance.shape[1], 1))[..., 0] * (given & timed)
 
 
 @objective("waypoint", untimed=True)
@@ -284,9 +285,9 @@ def social_group(
     chance = per_agent(cohesion, agents)[0][rows]
     strays = torch.rand(samples, count, steps, generator=generator) < chance
     mate = torch.where(strays, random, nearest)
-    wanted = per_agent(distance, agents)[0][rows]
-    error = (apart.gather(2, mate[:, :, None])[:, :, 0] - wanted).square()
-    return total.index_add(0, rows, error.sum(-1).T * ~leads[:, None])
+    wanted, given = per_agent(distance, agents)
+    error = (apart.gather(2, mate[:, :, None])[:, :, 0] - wanted[rows]).square()
+    return total.index_add(0, rows, error.sum(-1).T * (given[rows] & ~leads[:, None]))
 
 
 @objective("target_speed")
@@ -320,11 +321,11 @@ def follow(future: Future, way: Tensor, slack: Tensor | float = 0.5) -> Tensor:
     Args:
         future: Of one scene.
         way: (A, T, 2) world x, y of where each would be at the times of the future [m].
-        slack: (A, T) or one for all [m].
+        slack: (A, T), (A,) or one for all [m].
     """
     points, given = per_agent(way, len(future.states), 2)
     room = torch.as_tensor(slack, dtype=torch.float32)
-    room = room[:, None] if room.ndim else room
+    room = room.reshape(len(points), 1, -1) if room.ndim else room
     distance = ((future.positions - points).square().sum(-1) + 1e-8).sqrt()
     return torch.relu(distance - room).mean(-1) * given
 
@@ -337,8 +338,3 @@ def learned_value(value: Callable[[Future], Tensor]) -> Callable[[Future], Tenso
             know about somebody (a body's pose, the ground) it finds by `future.ids`.
     """
     return lambda future: torch.exp(-value(future))
-
-
-def _frame(future: Future, time: Tensor | float) -> Tensor:
-    due, _ = per_agent(time, len(future.states))
-    return ((due / future.dt).round().long() - 1).clamp(0, future.states.shape[2] - 1)[..., None]

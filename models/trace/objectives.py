@@ -162,14 +162,18 @@ class Objective:
     weight: float | Tensor = 1.0
 
     def __post_init__(self):
-        if self.name not in OBJECTIVES:
-            close = get_close_matches(self.name, OBJECTIVES, 1)
+        if not isinstance(self.name, str) or self.name not in OBJECTIVES:
+            close = get_close_matches(str(self.name), OBJECTIVES, 1)
             hint = (
                 f"; did you mean {close[0]!r}?" if close else f"; there are {', '.join(sorted(OBJECTIVES))}"
             )
             raise ObjectiveError(f"there is no objective {self.name!r}{hint}")
-        if not bool((torch.as_tensor(self.weight) >= 0).all()):
-            raise ObjectiveError(f"the weight of {self.name!r} must not be negative, it is {self.weight}")
+        with self._named():
+            share = self.share
+        if not bool((torch.isfinite(share) & (share >= 0)).all()):
+            raise ObjectiveError(
+                f"the weight of {self.name!r} must be finite and not negative, it is {self.weight}"
+            )
 
     @property
     def joint(self) -> bool:
@@ -203,6 +207,20 @@ class Objective:
         """The weight as (A, 1), or (1, 1) where it is the same for all."""
         return torch.as_tensor(self.weight, dtype=torch.float32).reshape(-1, 1)
 
+    def goals(self, agents: int) -> tuple[Tensor, Tensor] | None:
+        """Goals (A, 2) [m] and (A,) who has one; None of objectives without goals.
+
+        Raises:
+            ObjectiveError: When goals or weights do not fit the agents.
+        """
+        with self._named():
+            if len(self.share) not in (1, agents):
+                raise ObjectiveError(f"there are {len(self.share)} weights for {agents} agents")
+            if (goal := self.parameters.get("goal")) is None:
+                return None
+            goals, given = per_agent(goal, agents, 1)
+            return goals[:, 0], given[:, 0]
+
     def loss(self, future: Future) -> Tensor:
         """(A, M) unweighted losses.
 
@@ -217,8 +235,9 @@ class Objective:
         """Whatever does not fit is said to be of this objective."""
         try:
             yield
-        except (TypeError, ObjectiveError) as error:
-            raise ObjectiveError(f"objective {self.name!r}: {error}") from error
+        except (TypeError, ValueError, IndexError, RuntimeError) as error:  # also torch's, of several lines
+            reason = str(error).partition("\n")[0]
+            raise ObjectiveError(f"objective {self.name!r}: {reason}") from error
 
 
 def per_agent(values: Tensor | float, agents: int, inner: int = 0) -> tuple[Tensor, Tensor]:
@@ -239,6 +258,10 @@ def per_agent(values: Tensor | float, agents: int, inner: int = 0) -> tuple[Tens
         raise ObjectiveError(
             f"a parameter has the shape {tuple(value.shape)}; it must have {inner} axes, or {inner + 1} of which "
             f"the first counts the {agents} agents"
+        )
+    if inner and value.shape[-1] != 2:
+        raise ObjectiveError(
+            f"a place has the {value.shape[-1]} coordinates of {tuple(value.shape)}; it must have 2"
         )
     if isfinite(float(value.sum())):  # looked up at every step: this is the quickest way to see that all are
         return value.reshape(agents, 1, *value.shape[1:]), _everybody(agents)

@@ -106,7 +106,7 @@ class TracePlanner(ScenePlanner):
             if not len(rows) or (attempt and len(rows) > _LOST):
                 break
             actions, chosen = found.actions.clone(), found.chosen.clone()
-            generator = torch.Generator().manual_seed(seed + (attempt + 1) * 2**32)
+            generator = torch.Generator().manual_seed((seed + (attempt + 1) * 2**32) % 2**63)
             start = self.denoiser.starts(found.own[rows], context.speed[rows])
             actions[rows] = self.denoiser.resample(
                 rows, start, found.own, context, future_of, objectives, generator

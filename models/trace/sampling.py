@@ -1,6 +1,8 @@
 """How futures are drawn from noise: solver, steps, samples."""
 
+import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 from .config import DISTILLED_STEPS, TraceConfig
@@ -36,6 +38,23 @@ class Sampling:
     temperature: float = 1.0
     reduced: bool = True
     keep: float = 0.6
+
+    def __post_init__(self):
+        counts = {"steps": self.steps, "samples": self.samples}
+        for name, count in counts.items():
+            if not isinstance(count, int) or count < 1:
+                raise ValueError(f"{name} of sampling must be a whole number from 1 on, not {count!r}")
+        measures = {"power": self.power, "temperature": self.temperature}
+        for name, measure in measures.items():
+            if not 0 < measure < math.inf:
+                raise ValueError(f"{name} of sampling must be above 0, not {measure!r}")
+        if not math.isfinite(self.context_weight):
+            raise ValueError(f"context_weight of sampling must be finite, not {self.context_weight!r}")
+        if not 0 <= self.keep <= 1:
+            raise ValueError(f"keep of sampling must be from 0 to 1, not {self.keep!r}")
+        falling = all(a > b for a, b in pairwise(self.timesteps))
+        if self.timesteps and not (falling and self.timesteps[-1] >= 0):
+            raise ValueError(f"timesteps of sampling must fall to 0 or above, not be {self.timesteps!r}")
 
     def name(self, config: TraceConfig) -> str:
         """For tables: solver, number of steps, and w where there is one."""

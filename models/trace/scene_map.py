@@ -47,7 +47,17 @@ class SceneMaps:
             layers: Name to (H, W) bool, true where the property holds; row index grows with y.
             resolution: Cell size [m].
             origin: World x, y of the centre of cell (0, 0) [m].
+
+        Raises:
+            ValueError: When layers are no grids of one shape, or resolution or origin are no lengths.
         """
+        shapes = {np.shape(mask) for mask in layers.values()}
+        if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or 0 in shape:
+            raise ValueError(f"the layers {', '.join(layers)} must be grids (H, W) of one shape, with cells")
+        if not 0 < resolution < np.inf:
+            raise ValueError(f"the resolution of a map must be above 0 m, not {resolution}")
+        if np.shape(origin) != (2,) or not np.isfinite(origin).all():
+            raise ValueError(f"the origin of a map must be two finite coordinates, not {origin}")
         fields = [signed_distance(np.asarray(mask, bool), resolution) for mask in layers.values()]
         distance = torch.from_numpy(np.stack(fields))[None]
         return cls(distance, torch.tensor([list(origin)], dtype=torch.float32), resolution, tuple(layers))

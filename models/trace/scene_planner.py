@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ..crowd.planning import Futures
-from .context import Context, scene_context
+from .context import FAR, Context, scene_context
 from .dynamics import rollout
 from .guidance import FutureOf
 from .network import ActionModel
@@ -114,10 +114,12 @@ class ScenePlanner:
                 reads, or a previous plan of other agents.
             ObjectiveError: On parameters that do not fit an objective, or a goal outside the map.
         """
-        states, size = _float(states), _float(size)
+        states, size, seed = _float(states), _float(size), seed % 2**63
         names = tuple(range(len(states))) if ids is None else tuple(ids)
         if len(names) != len(states):
             raise ValueError(f"ids must name {len(states)} agents, not {len(names)}")
+        if len(set(names)) < len(names):
+            raise ValueError(f"ids must differ, not be {_some(names)}")
         if not len(states):
             return _nobody(self.sampling.samples, self.config.plan, self.config.horizon)
         if states.ndim == 3 and states.shape[1] != self.config.history:
@@ -126,7 +128,7 @@ class ScenePlanner:
         config = self.config
         if maps is not None:
             maps = maps.select(config.map_layers)
-            check_goals(objectives, maps)
+        check_objectives(objectives, len(states), maps)
         context = scene_context(states, size, maps, seen, config.max_neighbors, config.neighbor_radius)
         now, radius = states[:, -1], size.max(1).values / 2
 
@@ -190,23 +192,24 @@ class ScenePlanner:
         return start[:, None].expand(-1, self.sampling.samples, -1, -1)
 
 
-def check_goals(objectives: Sequence[Objective], maps: SceneMaps) -> None:
-    """Every `goal` must lie on the map, or a few steps beyond its border, where its border goes on.
+def check_objectives(objectives: Sequence[Objective], agents: int, maps: SceneMaps | None) -> None:
+    """Goals and weights must fit the agents, and goals lie on the map, or a few steps beyond its border.
 
     Raises:
-        ObjectiveError: One does not; says whose, and how far the map reaches.
+        ObjectiveError: They do not; of a goal it says whose, and how far the map reaches.
     """
-    low, high = maps.bounds()
+    place = "the map" if maps else "what can be planned for"
+    low, high = maps.bounds() if maps else (torch.full((2,), -FAR), torch.full((2,), FAR))
     for wish in objectives:
-        if (goal := wish.parameters.get("goal")) is None:
+        if (found := wish.goals(agents)) is None:
             continue
-        goals = torch.as_tensor(goal, dtype=torch.float32).reshape(-1, 2)
-        outside = ((goals < low - BEYOND) | (goals > high + BEYOND)).any(-1)  # false for NaN: who has no goal
+        goals, given = found
+        outside = ((goals < low - BEYOND) | (goals > high + BEYOND)).any(-1) & given
         if outside.any():
             agent = int(outside.nonzero()[0])
             x, y = goals[agent].tolist()
             raise ObjectiveError(
-                f"objective {wish.name!r}: the goal of agent {agent}, ({x:.1f}, {y:.1f}), lies outside the map, "
+                f"objective {wish.name!r}: the goal of agent {agent}, ({x:.1f}, {y:.1f}), lies outside {place}, "
                 f"which reaches from ({low[0]:.1f}, {low[1]:.1f}) to ({high[0]:.1f}, {high[1]:.1f})"
             )
 

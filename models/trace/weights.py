@@ -31,7 +31,7 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     Raises:
         WeightsError: When the file is missing or no such file.
     """
-    if not path.is_file():
+    if not Path(path).is_file():
         raise WeightsError(f"there are no weights at {path}")
     try:
         with safe_open(path, "pt") as file:

@@ -204,6 +204,10 @@ def test_running_graph_is_found_and_obeys(launch: Callable) -> None:
     try:
         link.send(Request("control", "ecoer", "log_level", "DEBUG"))
         assert link.receive(2.0) == Reply("no node 'ecoer'; did you mean 'echoer'?")
+        for name, nonsense in (("log_level", "bogus"), ("step", "abc"), ("rate", "abc"), ("rate", -1)):
+            link.send(Request("control", "*", name, nonsense))  # nobody ends of it
+            assert link.receive(2.0) == Reply()
+        time.sleep(0.5)
         link.send(Request("stop"))
         assert link.receive(2.0) == Reply()
     finally:

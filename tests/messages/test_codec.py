@@ -1,5 +1,6 @@
 """Bytes of every message type: golden, round trip, plain msgpack, schema hashes, errors."""
 
+import tracemalloc
 import typing
 import weakref
 from pathlib import Path
@@ -339,13 +340,37 @@ def test_bad_headers(head: bytes, text: str) -> None:
 )
 def test_what_is_no_shape_is_refused_before_anything_is_made_of_it(shape: Any) -> None:
     codec = Codec("t", BodyStates)
-    body = msgpack.unpackb(codec.encode(BodyStates(IDS, STATES))[0])
+    body: Any = msgpack.unpackb(codec.encode(BodyStates(IDS, STATES))[0])
     body["ids"][1] = shape
     with pytest.raises(
         MessageError, match=r"^t: ids: shape .* is not a list of at most 8 lengths$"
     ) as caught:
-        codec.decode(msgpack.packb(body))
+        codec.decode(msgspec.msgpack.encode(body))
     assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_what_is_wrong_is_cut_before_it_is_told(place: int) -> None:
+    codec = Codec("t", BodyStates)
+    body: Any = msgpack.unpackb(codec.encode(BodyStates(IDS, STATES))[0])
+    body["ids"][place] = [[0] * 1_000_000]
+    sent = msgspec.msgpack.encode(body)
+    tracemalloc.start()
+    with pytest.raises(MessageError, match=r"^t: ids: "):
+        codec.decode(sent)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10 * len(sent)  # a list of a million numbers, and no text of them
+
+
+def test_faults_that_are_told_are_few() -> None:
+    codec = Codec("t", BodyStates)
+    inlet = Inlet(Edge("t", "a", "b", "t", Input("t", "queue", 10), False, False), codec, False)
+    body, _ = codec.encode(BodyStates(IDS[:0], STATES[:0]))
+    for number in range(100):  # each knows another set of fields with defaults
+        schema = codec.schema[:4] + number.to_bytes(4, "little")
+        inlet.put([Header(number, 0, 0, schema, 0).pack() + body])
+    assert inlet.received == 100 and len(inlet.faults) == 8
 
 
 def test_repeated_and_misannounced_messages_are_rejected() -> None:

@@ -117,6 +117,9 @@ def test_a_way_through_a_pillar_leads_around_it(side):
     "bad",
     [
         {"strength": -1.0},
+        {"strength": float("nan")},
+        {"limit": float("inf")},
+        {"polish": 1.5},
         {"inner_steps": 0},
         {"mode": "dirty"},
         {"limit": 0.0},

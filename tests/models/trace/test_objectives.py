@@ -229,6 +229,17 @@ def test_follow_is_the_mean_distance_beyond_the_slack():
     assert loss(future, "follow", way=way, slack=0.5)[:, 0].tolist() == pytest.approx([0.0, 1.5], abs=1e-4)
 
 
+def test_of_who_has_no_number_of_their_own_nothing_is_asked():
+    future = walkers([[0, 0], [3, 0]], [[1, 0], [1, 0]], samples=4)
+    goals, nan = [[2.0, 2.0], [2.0, 2.0]], float("nan")
+    timed = loss(future, "waypoint_at", goal=goals, time=[nan, 2.0])
+    apart = loss(future, "social_group", group=[0, 0], distance=[1.0, nan])
+    assert timed[0].eq(0).all() and timed[1].gt(0).all() and apart.eq(0).all()
+    way = torch.zeros(2, 50, 2)
+    followed = loss(future, "follow", way=way, slack=[100.0, 0.5])
+    assert followed[0].eq(0).all() and torch.equal(followed[1], loss(future, "follow", way=way, slack=0.5)[1])
+
+
 def test_everybody_may_keep_another_distance():
     future = walkers([[0, 0], [1.2, 0], [0, 9]], [[1, 0]] * 3)
     assert loss(future, "agent_avoid", buffer=torch.tensor([0.2, 0.2, 5.0])).max() == 0

@@ -323,3 +323,57 @@ def test_who_stands_with_the_goal_behind_sets_out_in_other_directions(trace):
     assert torch.allclose(ahead[:, 3], torch.ones(4), atol=1e-3)  # a usual pace
     assert torch.allclose(ahead[:, 2].rad2deg(), torch.tensor([-112.5, -22.5, 67.5, 157.5]), atol=0.1)
     assert missed(starts)[0, 1::2].min() < 1.5 < 2.5 < missed(still.expand(1, 8, -1, -1)).min()
+
+
+@pytest.mark.parametrize(
+    ("changed", "text"),
+    [
+        ({"size": np.full((3, 2), np.nan)}, "sizes of agents must be finite and above zero"),
+        ({"ids": [4, 4, 5]}, "ids must differ, not be 4, 4, 5"),
+        ({"states": crowd()[0] + [[[1e6, 0, 0, 0]]]}, "more than 100000 m from the origin"),
+        (
+            {"objectives": [Objective("waypoint", {"goal": [[1.0, 2.0, 3.0]] * 3})]},
+            "'waypoint': a place has the 3",
+        ),
+        ({"objectives": [Objective("waypoint", {"goal": [1e30, 0.0]})]}, "outside what can be planned for"),
+        ({"objectives": [Objective("waypoint", {"goal": "there"})]}, "objective 'waypoint': "),
+        (
+            {"objectives": [Objective("agent_avoid", weight=torch.ones(2))]},
+            "there are 2 weights for 3 agents",
+        ),
+        ({"objectives": [Objective("social_group", {"group": [0, 0]})]}, "objective 'social_group': "),
+    ],
+)
+def test_what_cannot_be_planned_is_said_in_one_sentence(trace, changed, text):
+    states, size = crowd()
+    with pytest.raises(ValueError, match=text) as caught:
+        TracePlanner(trace, Sampling(steps=1, samples=2)).plan(**{"states": states, "size": size} | changed)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", [2**60 * 1_000_003, 2**64 - 1, -1])
+def test_any_whole_number_is_a_seed(trace, seed):
+    group = [Objective("social_group", {"group": [0, 0, 1]})]
+    assert (
+        TracePlanner(trace, Sampling(steps=1, samples=2))
+        .plan(*crowd(), objectives=group, seed=seed)
+        .chosen.size
+    )
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"samples": 0},
+        {"steps": 2.5},
+        {"power": 0.0},
+        {"temperature": np.nan},
+        {"context_weight": np.inf},
+        {"keep": 1.5},
+        {"timesteps": (50, 200)},
+        {"timesteps": (50, -1)},
+    ],
+)
+def test_sampling_out_of_range_is_refused(wrong):
+    with pytest.raises(ValueError, match=f"{next(iter(wrong))} of sampling must"):
+        Sampling(**wrong)

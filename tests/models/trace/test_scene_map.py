@@ -83,6 +83,24 @@ def test_layers_are_selected_and_walkable_is_implied():
         SceneMaps(torch.zeros(1, 2, 3, 3), torch.zeros(1, 2), 0.1)
 
 
+@pytest.mark.parametrize(
+    ("changed", "text"),
+    [
+        ({"resolution": 0.0}, "resolution of a map must be above 0"),
+        ({"resolution": float("nan")}, "resolution of a map must be above 0"),
+        ({"origin": (5.0,)}, "origin of a map must be two"),
+        ({"origin": (float("nan"), 0.0)}, "origin of a map must be two"),
+        ({"layers": {}}, "must be grids"),
+        ({"layers": {"obstacle": np.zeros(5)}}, "layers obstacle must be grids"),
+        ({"layers": {"obstacle": np.zeros((0, 5))}}, "layers obstacle must be grids"),
+    ],
+)
+def test_what_is_no_map_is_refused(changed, text):
+    whole = {"layers": {"obstacle": np.zeros((4, 5), bool)}, "resolution": 0.1, "origin": (0.0, 0.0)}
+    with pytest.raises(ValueError, match=text):
+        SceneMaps.from_raster(**whole | changed)
+
+
 @pytest.mark.parametrize(("filled", "sign"), [(False, 1), (True, -1)])
 def test_uniform_masks_are_far_from_any_border(filled, sign):
     distance = signed_distance(np.full((4, 3), filled), 0.5)
