@@ -68,6 +68,8 @@ class _Loader(yaml.SafeLoader):
 def _unique_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
     seen = set()
     for key, _ in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            raise yaml.MarkedYAMLError(problem="a key must be a word", problem_mark=key.start_mark)
         if key.value in seen:
             raise yaml.MarkedYAMLError(
                 problem=f"key {key.value!r} is written twice", problem_mark=key.start_mark
@@ -88,6 +90,8 @@ def _read(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{place}: not valid YAML: {error.problem}") from None
     except (yaml.YAMLError, UnicodeDecodeError):
         raise ConfigError(f"{path}: not a YAML text file") from None
+    except (ValueError, RecursionError) as error:  # a date that is none, a list in a list in a list
+        raise ConfigError(f"{path}: not valid YAML: {error}") from None
     if not isinstance(values, dict):
         raise ConfigError(f"{path}: a launch file is a mapping with `nodes`, not {type(values).__name__}")
     return values

@@ -2,6 +2,7 @@
 
 import argparse
 import difflib
+import errno
 import os
 import sys
 from importlib import import_module
@@ -145,9 +146,11 @@ def exit_code(error: Exception) -> int | None:
 
     A `ValueError` of our own is about what the user gave, a `RuntimeError` of our own about the world.
     """
-    place = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)
+    place = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
     if isinstance(error, place) and error.filename is not None:
         return 2
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):
+        return 1
     if type(error).__module__.partition(".")[0] not in ("footfall", "__main__"):
         return None
     if isinstance(error, (ValueError, OSError)):
@@ -158,7 +161,7 @@ def exit_code(error: Exception) -> int | None:
 def describe(error: Exception) -> str:
     """An error in one line."""
     if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}"
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return " ".join(str(error).split())
 
 

@@ -94,7 +94,7 @@ def parse_settings(settings: list[str]) -> tuple[dict[str, Any], dict[str, Any]]
             raise ConfigError(f"--set {setting}: must be ARGUMENT=VALUE or NODE.KEY=VALUE")
         try:
             value = yaml.safe_load(text)
-        except yaml.YAMLError:
+        except (yaml.YAMLError, ValueError, RecursionError):
             raise ConfigError(f"--set {setting}: the value is not valid YAML; put it in quotes") from None
         (config if "." in key else arguments)[key] = value
     return arguments, config

@@ -52,7 +52,12 @@ def run(args: argparse.Namespace) -> int:
             continue
         path = Path(args.output) if suffix and len(topics) == 1 else Path(args.output) / f"{topic}.{format}"
         path.parent.mkdir(parents=True, exist_ok=True)
-        written[topic] = {"path": str(path), "rows": _export_file(items, topic, format, path)}
+        try:
+            written[topic] = {"path": str(path), "rows": _export_file(items, topic, format, path)}
+        except ConfigError as error:
+            if args.topics:
+                raise
+            print(f"left out: {error}", file=sys.stderr)
     if args.json:
         print(json.dumps(written))
     else:
@@ -62,9 +67,23 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _export_file(items: Iterable[Logged[Any]], topic: str, format: str, path: Path) -> int:
+    """Write a file, whole or not at all; returns the number of rows."""
+    if path.exists() and not path.is_file():  # a pipe, or a device
+        return _write(items, topic, format, path)
+    part = path.with_name(f"{path.name}.part")
+    try:
+        rows = _write(items, topic, format, part)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+    return rows
+
+
+def _write(items: Iterable[Logged[Any]], topic: str, format: str, path: Path) -> int:
     if format == "npz":
         columns = to_arrays(items)
-        np.savez_compressed(path, **columns)  # type: ignore[arg-type]
+        with path.open("wb") as file:
+            np.savez_compressed(file, **columns)  # type: ignore[arg-type]
         return len(columns["stamp_ns"])
     with path.open("w", newline="") as file:
         return export(items, topic, format, file)

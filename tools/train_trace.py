@@ -10,6 +10,7 @@ without a seam.
 
 import argparse
 import csv
+import math
 import sys
 import time
 from collections.abc import Iterator
@@ -303,12 +304,30 @@ class TrainingRun:
         )
 
 
+def check(args: argparse.Namespace) -> None:
+    """Numbers that no training can have are refused before anything is read.
+
+    Raises:
+        ValueError: Names the option.
+    """
+    if min(args.steps, args.batch, args.check_every) < 1:
+        raise ValueError("--steps, --batch and --check-every must be at least 1")
+    if not (0 < args.rate < math.inf and args.save_minutes > 0):
+        raise ValueError("--rate and --save-minutes must be above 0, and --rate finite")
+    for name in ("decay", "balance", "touch", "calm", "drop"):
+        if not 0 <= getattr(args, name, 0.0) < math.inf:
+            raise ValueError(f"--{name} must be finite and not below 0")
+
+
+class TrainingError(RuntimeError):
+    """Training cannot go on."""
+
+
 def run(args: argparse.Namespace, kind: type[TrainingRun] = TrainingRun) -> int:
     """Train until `--steps` or Ctrl-C; both leave a checkpoint."""
     with training_process(args.threads) as stop:
         try:
-            if args.steps < 1 or args.batch < 1 or not args.rate > 0:
-                raise ValueError("--steps and --batch must be at least 1 and --rate above 0")
+            check(args)
             training = kind(args, ranks.number(), ranks.count())
         except ValueError as error:
             print(error, file=sys.stderr)
@@ -325,6 +344,10 @@ def train(training: TrainingRun, stop: list[int]) -> None:
     training.trace.train()
     while progress.step < args.steps and not ranks.agreed(bool(stop)):
         training.losses.append(training.step())
+        if not math.isfinite(training.losses[-1]):
+            raise TrainingError(
+                f"the loss of step {progress.step} is {training.losses[-1]}; what was saved before stays as it is"
+            )
         progress.minutes = before + (time.monotonic() - begun) / 60
         if progress.step % args.check_every == 0 or progress.step == args.steps:
             losses = training.validate()

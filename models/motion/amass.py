@@ -60,7 +60,7 @@ def read_amass(path: Path | str, body: Body) -> Recording:
         with np.load(path, allow_pickle=False) as file:
             rate_key = "mocap_framerate" if "mocap_framerate" in file else "mocap_frame_rate"
             poses, trans, rate = file["poses"], file["trans"], float(file[rate_key])
-    except (KeyError, ValueError, BadZipFile, OSError) as error:
+    except (KeyError, ValueError, BadZipFile, EOFError, OSError) as error:
         if isinstance(error, FileNotFoundError):
             raise
         raise MotionFormatError(

@@ -153,7 +153,7 @@ def load_clips(path: Path | str) -> tuple[list[Clip], list[Body]]:
             raise MotionFormatError(f"{path} is of format {meta['format']}; this version reads {_FORMAT}.")
     except (FileNotFoundError, MotionFormatError):
         raise
-    except (KeyError, BadZipFile, OSError, ValueError) as error:
+    except (KeyError, BadZipFile, EOFError, OSError, ValueError) as error:
         raise MotionFormatError(f"{path} is no motion library: {error}.") from error
     clips = []
     for name, tags, r, j, c in zip(meta["names"], meta["tags"], *parts, strict=True):

@@ -151,9 +151,11 @@ def read_scene_file(path: Path) -> SceneFile:
     """
     try:
         raw = yaml.load(path.read_text(encoding="utf-8"), Loader=LOADER)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        _check_finite(raw, "", path)
+    except SceneError:
+        raise
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise SceneError(f"{path}: not a YAML file: {' '.join(str(error).split())}") from error
-    _check_finite(raw, "", path)
     try:
         return msgspec.convert(raw, SceneFile, dec_hook=_decode_array)
     except msgspec.ValidationError as error:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,12 +80,35 @@ class Crowds:
         if not path.is_file():
             raise CrowdFileError(f"there is no crowd file {path}; `footfall data orca` makes one")
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
                 facts = json.loads(str(file["facts"]))
                 facts |= {k: tuple(facts[k]) for k in ("origin", "layers") if k in facts}
-                return cls(**facts, **{k: file[k] for k in ("positions", "polygons", "distance", "split")})
-        except (OSError, KeyError, ValueError, TypeError) as error:
+                crowds = cls(**facts, **{k: file[k] for k in ("positions", "polygons", "distance", "split")})
+            crowds.check()
+        except (OSError, EOFError, BadZipFile, KeyError, ValueError, TypeError) as error:
             raise CrowdFileError(f"{path} is not a crowd file: {error}") from error
+        return crowds
+
+    def check(self) -> None:
+        """What is no set of scenes is refused.
+
+        Raises:
+            CrowdFileError: Says what is not as it must be.
+        """
+        scenes = len(self.positions)
+        axes = {"positions": (4,), "polygons": (4,), "distance": (3, 4), "split": (1,)}
+        for name, counts in axes.items():
+            array = getattr(self, name)
+            if array.ndim not in counts or len(array) != scenes or array.dtype.kind not in "fu":
+                raise CrowdFileError(f"{name} has shape {array.shape} of {array.dtype} for {scenes} scenes")
+        if self.positions.shape[-1] != 2 or self.polygons.shape[-1] != 2:
+            raise CrowdFileError("positions and polygons must end in x and y")
+        for name in ("dt", "resolution", "radius"):
+            value = getattr(self, name)
+            if not isinstance(value, (int, float)) or not 0 < value < np.inf:
+                raise CrowdFileError(f"{name} must be a number above 0, not {value!r}")
+        if len(self.origin) != 2 or not np.isfinite(self.origin).all():
+            raise CrowdFileError(f"origin must be two finite coordinates, not {self.origin}")
 
 
 def pack_crowds(spec: CrowdSpec, crowds: Sequence[Crowd], seed: int, base: int | None = None) -> Crowds:

@@ -365,6 +365,7 @@ BREAKS = [  # right, wrong, what is said
     ("goal: west", "goal: nowhere", r"there is no area 'nowhere'; areas are west, east"),
     ("agent: 2", "agent: 30", r"events\[0\]\.agent: 30, but the last pedestrian is 29"),
     ("name: hall", "name: [hall", "not a YAML file"),
+    ("name: hall", "name: 2020-13-45", "not a YAML file: month must be in"),
 ]
 # fmt: on
 

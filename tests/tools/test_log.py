@@ -12,6 +12,7 @@ from footfall.messages.graph import ClockSpec, Graph, NodeSpec
 from footfall.messages.log import LogReader, LogWriter
 from footfall.messages.plan import Plans
 from footfall.messages.topics import AGENTS, CLOCK, LOG, PLANS, SCORE
+from footfall.tools import log_export
 from footfall.tools.cli import main
 
 TICK_NS = 100_000_000
@@ -183,10 +184,16 @@ def test_arrays_of_changing_length(tmp_path, capsys):
     assert arrays["history"].shape == (3, 31, 7)
 
 
-def test_too_wide_for_csv(tmp_path, capsys):
-    path = write(tmp_path / "a.mcap")
-    code, text = call(capsys, "export", path, "--topics", "plans", "-o", "-")
-    assert code == 0 or "npz" in text
+def test_too_wide_for_csv(tmp_path, capsys, monkeypatch):
+    path, old = write(tmp_path / "a.mcap"), tmp_path / "plans.csv"
+    monkeypatch.setattr(log_export, "MAX_COLUMNS", 20)
+    old.write_text("old")
+    code, text = call(capsys, "export", path, "--topics", "plans", "-o", old)
+    assert code == 2 and "use --format npz" in text
+    assert old.read_text() == "old" and sorted(tmp_path.iterdir()) == [path, old]
+    code, text = call(capsys, "export", path, "-o", tmp_path / "all", "--json")  # all others are written
+    assert code == 0 and set(json.loads(text)) == {"agents", "clock", "log"}
+    assert {p.stem for p in (tmp_path / "all").iterdir()} == {"agents", "clock", "log"}
 
 
 @pytest.mark.parametrize("verb", ["info", "hash", "export", "recover", "diff"])

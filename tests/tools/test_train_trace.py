@@ -186,3 +186,26 @@ def test_a_student_cannot_teach_and_steps_must_fall(data, tmp_path, capsys):
         assert "two or more step indices that fall, from 99 to 1" in capsys.readouterr().err
     assert distil(data, tmp_path, 1, "--teacher", str(DISTILLED)) == 2
     assert "is distilled itself" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("--rate", "inf"),
+        ("--touch", "nan"),
+        ("--calm", "-1"),
+        ("--check-every", "0"),
+        ("--save-minutes", "nan"),
+    ],
+)
+def test_numbers_that_no_training_can_have_are_refused(data, tmp_path, capsys, option, value):
+    assert run(data, tmp_path / "run", 1, option, value) == 2
+    assert option in capsys.readouterr().err and not (tmp_path / "run").exists()
+
+
+def test_training_that_diverges_says_so_and_keeps_what_was_saved(data, tmp_path):
+    assert run(data, tmp_path / "run", 1) == 0
+    before = (tmp_path / "run" / "model.safetensors").read_bytes()
+    with pytest.raises(train_trace.TrainingError, match="the loss of step"):
+        run(data, tmp_path / "run", 20, "--rate", "1e30")
+    assert (tmp_path / "run" / "model.safetensors").read_bytes() == before

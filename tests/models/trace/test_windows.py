@@ -78,10 +78,26 @@ def test_file_returns_what_was_saved(crowds, tmp_path):
     assert np.array_equal(again.distance, crowds.distance)
 
 
-def test_bad_files_are_explained(tmp_path):
+def test_bad_files_are_explained(crowds, tmp_path):
     with pytest.raises(CrowdFileError, match="footfall data orca"):
         Crowds.load(tmp_path / "none.npz")
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
+    for changed, text in (
+        ({"dt": 0.0}, "dt must be a number above 0, not 0.0"),
+        ({"radius": float("nan")}, "radius must be a number above 0"),
+        ({"resolution": "fine"}, "resolution must be a number"),
+        ({"origin": (0.0,)}, "origin must be two"),
+        ({"positions": crowds.positions[..., :1]}, "positions and polygons must end in x and y"),
+        ({"distance": crowds.distance[1:]}, "distance has shape"),
+    ):
+        replace(crowds, **changed).save(tmp_path / "wrong.npz")
+        with pytest.raises(CrowdFileError, match=f"wrong.npz is not a crowd file: {text}"):
+            Crowds.load(tmp_path / "wrong.npz")
+    whole = (tmp_path / "wrong.npz").read_bytes()
+    for part in (b"", whole[: len(whole) // 2]):
+        (tmp_path / "part.npz").write_bytes(part)
+        with pytest.raises(CrowdFileError, match="not a crowd file"):
+            Crowds.load(tmp_path / "part.npz")
     with pytest.raises(CrowdFileError, match="not a crowd file"):
         Crowds.load(tmp_path / "other.npz")
 
