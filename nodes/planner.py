@@ -21,6 +21,8 @@ from ..messages.map import SemanticMap
 from ..messages.objectives import Objectives
 from ..messages.plan import Plans
 from ..messages.topics import AGENTS, BODIES, MAP, OBJECTIVES, PLANS, Outgoing
+from ..models.crowd.convex_obstacles import ObstacleError
+from ..models.crowd.navigation import NavigationError
 from ..models.crowd.orca_planner import OrcaPlanner
 from ..models.crowd.planning import PLAN_DT, ConstantVelocity, Futures, Planner
 from .node import Inbox, Node, NodeConfig
@@ -139,7 +141,12 @@ class PlannerNode(Node[Config]):
                 semantic_map.name,
                 ", ".join(semantic_map.layers) or "none",
             )
-        self._method.place(semantic_map)
+        try:
+            self._method.place(semantic_map)
+        except (NavigationError, ObstacleError) as error:
+            if not self._placed:
+                raise
+            log.error("map %r: %s; plans go on as on the one before", semantic_map.name, error)
         self._placed = True
 
     def _make(self, config: Config) -> Method:

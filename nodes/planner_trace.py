@@ -114,10 +114,10 @@ class TraceMethod:
         place = place_of(semantic_map)
         height, width = place.blocked.shape
         low = np.array(place.origin)
+        navigator = Navigator(place.blocked, place.resolution, place.origin, CLEARANCE, place.cost)
         self._maps = SceneMaps.from_raster(
             {"obstacle": place.blocked}, place.resolution, (low + place.resolution / 2).tolist()
         )
-        navigator = Navigator(place.blocked, place.resolution, place.origin, CLEARANCE, place.cost)
         high = low + place.resolution * np.array([width, height])
         self._surroundings = Surroundings(Routes(navigator), low, high)
 

@@ -8,6 +8,7 @@ from footfall.messages.body import Bodies
 from footfall.messages.map import SemanticMap
 from footfall.messages.objectives import AgentObjectives, Objectives, TargetSpeed, Waypoint
 from footfall.messages.topics import AGENTS, BODIES, MAP, OBJECTIVES
+from footfall.models.crowd.navigation import NavigationError
 from footfall.nodes.planner import Config, PlannerNode
 
 PLACE = MAP(SemanticMap("test", ["walkable"], np.ones((1, 200, 200), np.uint8), 0.1, (-10.0, -10.0)))
@@ -54,6 +55,19 @@ def test_everybody_gets_a_plan_of_five_seconds(inbox_of, method):
     assert plans.positions.shape == (2, 1, 50, 2)
     assert plans.ids.tolist() == [0, 1]
     assert plans.planning_time > 0
+
+
+@pytest.mark.parametrize("method", ["orca", "trace"])
+def test_a_map_without_room_is_an_error_in_the_log_not_the_end(inbox_of, method, caplog):
+    full = MAP(SemanticMap("full", ["obstacle"], np.ones((1, 200, 200), np.uint8), 0.1, (-10.0, -10.0)))
+    rest = (BODY, wishes((5.0, 0.0)), agents(a=(0, 0, 0, 1)))
+    planner = PlannerNode(Config(method=method))
+    before = plans_of(planner, inbox_of(0.0, PLACE, *rest))[0]
+    after = plans_of(planner, inbox_of(1.0, full, *rest))[0]
+    assert "map 'full': a clearance of" in caplog.text and "leaves no free cell" in caplog.text
+    assert before.positions.shape == after.positions.shape and np.isfinite(after.positions).all()
+    with pytest.raises(NavigationError):  # there is none to go on with
+        plans_of(PlannerNode(Config(method=method)), inbox_of(0.0, full, *rest))
 
 
 def test_it_plans_at_its_rate_and_at_once_for_newcomers(inbox_of):
