@@ -14,6 +14,7 @@ from ..messages.link import Go
 from ..messages.topics import CLOCK, CONTROL, DONE, PARAMETERS, STEPS, Topic
 from .node import Node, Stepper, build
 from .process import Process, run_process
+from .transport import Transport
 
 log = logging.getLogger(__name__)
 
@@ -154,14 +155,13 @@ class ClockOwner:
         spec = spinner.graph.clock
         self.mode: Mode = spec.mode
         self.timeout = spec.timeout
-        self.rate = spec.rate if spec.rate is not None else (1.0 if spec.mode == "realtime" else None)
+        rate = spec.rate if spec.rate is not None else (1.0 if spec.mode == "realtime" else None)
+        self.transport = Transport(rate, paused=False)
         self.followers = {
             edge.publisher
             for edge in (inlet.edge for inlet in self.process.bus.inlets)
             if edge.port == DONE.name
         }
-        self.paused = False
-        self.single_steps = 0
         self._sent: Bound = {}
         """What the followers have sent up to their last finished tick."""
         self._behind = 0.0
@@ -194,7 +194,7 @@ class ClockOwner:
 
     def _tick(self, step: int) -> None:
         sent = {**self._sent, **self.process.sent} if self.mode == "lockstep" else {}
-        clock = Clock(step, 1_000_000_000 // self.rate_hz, self.mode, self.paused, sent)
+        clock = Clock(step, 1_000_000_000 // self.rate_hz, self.mode, self.transport.paused, sent)
         self.process.bus.publish(CLOCK, clock, self.process.now_ns)
 
     def _wait_for_followers(self, step: int) -> None:
@@ -227,11 +227,11 @@ class ClockOwner:
 
     def _pace(self, due: float, step: int) -> float:
         """Wait for the wall time of the next tick, and return it, given when this one was due [s]."""
-        if self.paused:
+        if self.transport.paused:
             due += self._stay_paused(step)
-        if self.rate is None:
+        if self.transport.rate is None:
             return monotonic()
-        due += 1 / (self.rate_hz * self.rate)
+        due += 1 / (self.rate_hz * self.transport.rate)
         if (late := monotonic() - due) > 0:
             self._behind += late
             self.process.facts["behind"] = self.spinner.node.facts["behind"] = self._behind
@@ -247,13 +247,13 @@ class ClockOwner:
         """Stand still until told to go on; returns for how long [s]."""
         begin = monotonic()
         self._tick(step)
-        while self.paused and not self.single_steps:
+        while self.transport.paused and not self.transport.steps:
             if self.process.wait():
                 in_step = self._sent if self.mode == "lockstep" else None
                 self.spinner.work(
                     self._listen(take(self.process.bus, in_step)), self.process.now_ns, run=False
                 )
-        self.single_steps = max(0, self.single_steps - 1)
+        self.transport.steps = max(0, self.transport.steps - 1)
         return monotonic() - begin
 
     def _listen(self, messages: list[Received[Any]]) -> list[Received[Any]]:
@@ -261,24 +261,8 @@ class ClockOwner:
         for control in (m.message for m in messages if m.port == CONTROL.name):
             if control.node not in ("*", self.process.name):
                 continue
-            try:
-                if control.name in ("pause", "resume"):
-                    self.paused = control.name == "pause"
-                elif control.name == "step":
-                    self.single_steps += int(control.value or 1)
-                elif control.name == "rate":
-                    self.rate = _rate(control.value)
-            except (TypeError, ValueError) as error:
-                log.error("control %s: %r: %s", control.name, control.value, error)
+            self.transport.obey(control.name, control.value)
         return messages
-
-
-def _rate(value: Any) -> float | None:
-    """Times real time; nothing, or 0, is as fast as it goes."""
-    rate = float(value) if value else None
-    if rate is not None and not rate > 0:
-        raise ValueError("must not be below 0")
-    return rate
 
 
 def _check_wiring(process: Process, node_type: type[Node]) -> None:

@@ -1,4 +1,4 @@
-"""The keys of a player: play, pause, step, rate, seek."""
+"""The keys of a player, and of a clock: play, pause, step, rate, seek."""
 
 import logging
 from typing import Any
